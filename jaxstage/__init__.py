@@ -1,0 +1,45 @@
+"""Differentiable, batched simulation of CNC feed drives and XY(Z) stages.
+
+    import jaxstage as js
+
+    js.configure(precision="double")
+    case = js.build("dfcmac-circle")
+    run = case.simulate()
+    run.report["contour"].contour_rms
+
+blocks       every signature on one page         signals      what crosses module borders
+plants       machines                            controllers  control laws and compositions
+references   NURBS curves, timing, motion        loads, sensors, drives
+metrics      online figures, windows, recording  studies      published systems, ready to run
+rollout      simulate, replay                    settings     names, TOML files
+"""
+
+__version__ = "0.1.0"
+
+from jaxstage.blocks import Controller as Controller
+from jaxstage.blocks import Drive as Drive
+from jaxstage.blocks import Load as Load
+from jaxstage.blocks import Loop as Loop
+from jaxstage.blocks import Metric as Metric
+from jaxstage.blocks import Plant as Plant
+from jaxstage.blocks import Reference as Reference
+from jaxstage.blocks import Sensor as Sensor
+from jaxstage.fields import replace as replace
+from jaxstage.rollout import replay as replay
+from jaxstage.rollout import simulate as simulate
+from jaxstage.runtime import configure as configure
+from jaxstage.signals import Measurement as Measurement
+from jaxstage.signals import Nearest as Nearest
+from jaxstage.signals import Output as Output
+from jaxstage.signals import Power as Power
+from jaxstage.signals import Run as Run
+from jaxstage.signals import Sample as Sample
+from jaxstage.signals import Scenario as Scenario
+from jaxstage.signals import Setpoint as Setpoint
+from jaxstage.signals import Start as Start
+from jaxstage.studies import Case as Case
+from jaxstage.studies import Timing as Timing
+from jaxstage.studies import build as build
+from jaxstage.studies import loop_names as loop_names
+from jaxstage.studies import studies as studies
+from jaxstage.studies import with_metric as with_metric

@@ -1,0 +1,138 @@
+"""What is refused before a run: shapes, types and ranges, each named with its allowed range."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxstage.blocks import Loop
+from jaxstage.fields import Quantity, leaves
+from jaxstage.signals import Scenario
+
+
+def check(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> tuple[Any, Scenario, Any]:
+    """Validate the inputs of a run and make every number a strong array of the path's type.
+
+    Values under a trace (``jit``, ``vmap``, ``grad``) are checked for shape only. Raises
+    ValueError naming the value, where it stands and what is allowed.
+    """
+    path = jax.tree.map(jnp.asarray, path)
+    dtype = float_type(path)
+    gains = strong(gains, dtype)
+    scenario = strong(scenario, dtype)
+    check_loop(loop)
+    axes = loop.plant.axes
+    sampled = jax.eval_shape(loop.reference.sample, path, jnp.zeros((), jnp.int32))
+    if sampled.position.shape != (len(axes),):
+        raise ValueError(
+            f"the path has {sampled.position.shape[-1]} axes, "
+            f"but {loop.plant.name} has {len(axes)} ({', '.join(axes)})"
+        )
+    check_leaves(gains, "gains", axes, per_axis=True)
+    for name in ("plant", "load", "sensor", "drive", "start"):
+        check_leaves(getattr(scenario, name), name, axes)
+    _check_delay(loop, scenario)
+    return gains, scenario, path
+
+
+def float_type(tree: Any) -> Any:
+    """The type of the first floating-point leaf; the precision of a run is that of its path."""
+    for leaf in jax.tree.leaves(tree):
+        if jnp.issubdtype(leaf.dtype, jnp.floating):
+            return leaf.dtype
+    raise ValueError("the path holds no floating-point array")
+
+
+def strong(tree: Any, dtype: Any) -> Any:
+    """The tree with Python numbers and floats as arrays of one type, so nothing retraces."""
+
+    def convert(leaf: Any) -> Any:
+        if isinstance(leaf, jax.Array) and not jnp.issubdtype(leaf.dtype, jnp.number):
+            return leaf
+        return jnp.asarray(leaf, dtype=dtype)
+
+    return jax.tree.map(convert, tree)
+
+
+def check_loop(loop: Loop) -> None:
+    """Refuse impossible numbers in the definition of a loop."""
+    for name, value, ok, allowed in (
+        ("dt", loop.dt, np.isfinite(loop.dt) and loop.dt > 0, "> 0 s"),
+        ("substeps", loop.substeps, loop.substeps >= 1, ">= 1"),
+        ("segment", loop.segment, loop.segment >= 0, ">= 0"),
+        ("path_limit", loop.path_limit, loop.path_limit > 0, "> 0 m"),
+    ):
+        if not ok:
+            raise ValueError(f"loop.{name} = {value}: must be {allowed}")
+    for name in ("substeps", "segment"):
+        if not isinstance(getattr(loop, name), int):
+            raise ValueError(f"loop.{name} = {getattr(loop, name)}: must be a whole number")
+
+
+def check_leaves(tree: Any, root: str, axes: tuple[str, ...], per_axis: bool = False) -> None:
+    """Check shape and range of every field below ``tree``; ``root`` begins the names.
+
+    per_axis: fields described for one axis may carry a leading (axes,).
+    """
+    values = {path: value for path, _, value in leaves(tree, root)}
+    for path, quantity, value in leaves(tree, root):
+        _check_shape(path, quantity, np.shape(value), axes, per_axis)
+        if isinstance(value, jax.core.Tracer):
+            continue
+        array = np.asarray(value)
+        bad = _out_of_range(quantity, array)
+        allowed = quantity.range_text()
+        if quantity.at_least and not bad.any():
+            other = values[path.rsplit(".", 1)[0] + "." + quantity.at_least]
+            if not isinstance(other, jax.core.Tracer):
+                bad = array < np.asarray(other)
+                allowed = f">= {quantity.at_least}"
+        if bad.any():
+            raise ValueError(_message(path, quantity, array, bad, allowed, axes))
+
+
+def _check_shape(
+    path: str, quantity: Quantity, shape: tuple[int, ...], axes: tuple[str, ...], per_axis: bool
+) -> None:
+    described = [d.strip() for d in quantity.shape.strip("()").split(",") if d.strip()]
+    if any(not d.isdigit() and d != "axes" for d in described):
+        return  # a symbolic size: the array itself sets it
+    base = tuple(len(axes) if d == "axes" else int(d) for d in described)
+    allowed = [base, (len(axes), *base)] if per_axis else [base]
+    if shape not in allowed:
+        expected = " or ".join(str(s) for s in allowed)
+        raise ValueError(f"{path} has shape {shape}, expected {expected}")
+
+
+def _out_of_range(quantity: Quantity, array: np.ndarray) -> np.ndarray:
+    allowed = ~np.isnan(array) if quantity.infinite else np.isfinite(array)
+    above = (array > quantity.above) | (quantity.above == -np.inf)
+    return ~(allowed & above & (array >= quantity.low) & (array <= quantity.high))
+
+
+def _message(
+    path: str, quantity: Quantity, array: np.ndarray, bad: np.ndarray, allowed: str,
+    axes: tuple[str, ...],
+) -> str:  # fmt: skip
+    index = tuple(int(i) for i in np.argwhere(bad)[0])
+    where = ""
+    if index and array.shape[0] == len(axes):
+        rest = "".join(f"[{i}]" for i in index[1:])
+        where = f" ({axes[index[0]]}){rest}"
+    elif index:
+        where = f"{list(index)}"
+    symbol = f" [{quantity.symbol}]" if quantity.symbol else ""
+    unit = "" if quantity.unit == "1" else f" {quantity.unit}"
+    return f"{path}{where}{symbol} = {array[index]:g}{unit}: must be {allowed}"
+
+
+def _check_delay(loop: Loop, scenario: Scenario) -> None:
+    delay = getattr(scenario.drive, "delay", None)
+    if delay is None or isinstance(delay, jax.core.Tracer):
+        return
+    if float(np.max(np.asarray(delay))) > loop.drive.max_delay:
+        raise ValueError(
+            f"drive.delay = {float(np.max(np.asarray(delay))):g} periods: "
+            f"must be <= {loop.drive.max_delay}, the max_delay of the loop's drive"
+        )

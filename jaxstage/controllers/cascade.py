@@ -1,0 +1,83 @@
+"""The industrial baseline: P position loop around a PI velocity loop, with feed-forward.
+
+    v_ref = k_p e + k_v r',   e_v = v_ref - y',   I <- I + e_v dt
+    u = [ k_s e_v + k_i I + k_a r'' ] / b + k_f [ B r' + F_c tanh(r'/w) + F_L ] / K_t
+
+| symbol | field | unit |
+|---|---|---|
+| k_p | position_gain ("Kv factor") | 1/s |
+| k_s | velocity_gain | 1/s |
+| k_i | integral_gain | 1/s2 |
+| k_v, k_a, k_f | velocity, acceleration, friction feed-forward: 0 off, 1 full | 1 |
+| w | friction_width | m/s |
+
+Anti-windup by back-calculation: what the drive cuts off is taken out of I. Inner loop first: with
+k_s well below 1/dt, k_p about k_s/4 and k_i about k_s^2/4 the loop is well damped.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.blocks import Controller
+from jaxstage.controllers.parts.nominal import RigidAxis, authority
+from jaxstage.controllers.parts.surface import errors
+from jaxstage.fields import gain, part, pytree, signal
+from jaxstage.signals import Measurement, Setpoint
+
+
+@pytree
+class Cascade:
+    """Gains of the cascade, one axis."""
+
+    position_gain: Array = gain("1/s", "k_p", "position loop", low=0.0)
+    velocity_gain: Array = gain("1/s", "k_s", "velocity loop", above=0.0)
+    integral_gain: Array = gain("1/s2", "k_i", "integral of the velocity loop", low=0.0)
+    velocity_feedforward: Array = gain("1", "k_v", "velocity feed-forward", low=0.0)
+    acceleration_feedforward: Array = gain("1", "k_a", "acceleration feed-forward", low=0.0)
+    friction_feedforward: Array = gain("1", "k_f", "friction feed-forward", low=0.0)
+    friction_width: Array = gain(
+        "m/s", "w", "speed over which the friction is blended in", above=0.0, shown="mm/s"
+    )
+    nominal: RigidAxis = part("what the law assumes about the axis")
+
+
+@pytree
+class CascadeMemory:
+    """Integral of the velocity error."""
+
+    integral: Array = signal("m", "I", "integral of the velocity error")
+
+
+def _init(gains: Cascade, setpoint: Setpoint, measurement: Measurement) -> CascadeMemory:
+    return CascadeMemory(integral=jnp.zeros_like(measurement.position))
+
+
+def _control(
+    gains: Cascade, memory: CascadeMemory, setpoint: Setpoint, measurement: Measurement, dt: float
+) -> tuple[Array, CascadeMemory]:
+    error, _ = errors(setpoint, measurement)
+    wanted = gains.position_gain * error + gains.velocity_feedforward * setpoint.velocity
+    lag = wanted - measurement.velocity
+    integral = memory.integral + lag * dt
+    axis = gains.nominal
+    acceleration = (
+        gains.velocity_gain * lag
+        + gains.integral_gain * integral
+        + gains.acceleration_feedforward * setpoint.acceleration
+    )
+    dry = axis.coulomb * jnp.tanh(setpoint.velocity / gains.friction_width)
+    resistance = axis.damping * setpoint.velocity + dry + axis.load
+    friction = gains.friction_feedforward * resistance / axis.force_constant
+    return acceleration / authority(axis) + friction, CascadeMemory(integral=integral)
+
+
+def _settle(
+    gains: Cascade, memory: CascadeMemory, demand: Array, command: Array, dt: float
+) -> CascadeMemory:
+    """I <- I + b (command - demand) / (k_s + k_i dt): the error that would have met the limit."""
+    stiffness = gains.velocity_gain + gains.integral_gain * dt
+    cut = authority(gains.nominal) * (command - demand) / stiffness
+    return CascadeMemory(integral=memory.integral + dt * cut)
+
+
+cascade = Controller(name="cascade", init=_init, control=_control, settle=_settle)

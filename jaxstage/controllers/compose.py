@@ -1,0 +1,134 @@
+"""Functions from laws to laws. Equal compositions are the identical definition.
+
+A law is written for one axis, with scalars; `per_axis` makes it drive several. Every composition
+forwards `settle` with the TOTAL demand and command: an observer that heard only its own law's
+command would take the coupling for a disturbance and cancel it.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+from jax import Array
+
+from jaxstage.blocks import Controller
+from jaxstage.fields import known, part, pytree, replace
+from jaxstage.signals import Measurement, Setpoint
+
+#: which parts of a Setpoint belong to one axis
+_PER_AXIS = Setpoint(position=0, velocity=0, acceleration=0, tangent=0, curvature=None)  # type: ignore[arg-type]
+
+
+@functools.cache
+def per_axis(law: Controller) -> Controller:
+    """The same law on every axis, each with its own gains: leaves of the gains are (axes, ...)."""
+    return Controller(
+        name=law.name,
+        init=jax.vmap(law.init, in_axes=(0, _PER_AXIS, 0)),
+        control=jax.vmap(law.control, in_axes=(0, 0, _PER_AXIS, 0, None)),
+        settle=jax.vmap(law.settle, in_axes=(0, 0, 0, 0, None)),
+    )
+
+
+@pytree
+class Both:
+    """Gains or memory of a law and of what is added to it."""
+
+    law: Any = part("the law")
+    extra: Any = part("what is added to it")
+
+
+@functools.cache
+def plus(law: Controller, extra: Controller) -> Controller:
+    """u = u_law + u_extra: feed-forward, or a disturbance observer, around any law.
+
+    gains: `Both`. An observer is a law whose demand is minus its estimate, in command units, and
+    whose `settle` hears the total command.
+    """
+    return _summed(f"{law.name} + {extra.name}", law, extra, lambda gains, demand: demand)
+
+
+@pytree
+class Coupled:
+    """Gains of a cross-coupled law."""
+
+    law: Any = part("the law of the axes")
+    extra: Any = part("the contour law")
+    command_per_acceleration: Array = known(
+        "1", "1/a_n", "command that gives 1 m/s2, in command units", shape="(axes,)", above=0.0
+    )
+
+
+@functools.cache
+def cross_coupled(axis: Controller, contour: Controller) -> Controller:
+    """u = u_axis + U / a_n: the contour law demands an acceleration U (axes,) in m/s2.
+
+    gains: `Coupled`, whose nominal command per acceleration lets any law be wrapped and makes
+    unequal axes answer in the direction of U.
+    """
+    return _summed(
+        f"cross_coupled[{axis.name}, {contour.name}]",
+        axis,
+        contour,
+        lambda gains, acceleration: gains.command_per_acceleration * acceleration,
+    )
+
+
+def _summed(
+    name: str, law: Controller, extra: Controller, scaled: Callable[[Any, Array], Array]
+) -> Controller:
+    def init(gains: Any, setpoint: Setpoint, measurement: Measurement) -> Both:
+        return Both(
+            law=law.init(gains.law, setpoint, measurement),
+            extra=extra.init(gains.extra, setpoint, measurement),
+        )
+
+    def control(
+        gains: Any, memory: Both, setpoint: Setpoint, measurement: Measurement, dt: float
+    ) -> tuple[Array, Both]:
+        first, kept = law.control(gains.law, memory.law, setpoint, measurement, dt)
+        second, added = extra.control(gains.extra, memory.extra, setpoint, measurement, dt)
+        return first + scaled(gains, second), Both(law=kept, extra=added)
+
+    def settle(gains: Any, memory: Both, demand: Array, command: Array, dt: float) -> Both:
+        return Both(
+            law=law.settle(gains.law, memory.law, demand, command, dt),
+            extra=extra.settle(gains.extra, memory.extra, demand, command, dt),
+        )
+
+    return Controller(name=name, init=init, control=control, settle=settle)
+
+
+@pytree
+class Offset:
+    """Gains of a law that follows a shifted setpoint."""
+
+    law: Any = part("the law")
+    offset: Any = part("gains of the shift")
+
+
+@functools.cache
+def offset_setpoint(
+    law: Controller, name: str, shift: Callable[[Any, Setpoint], Array]
+) -> Controller:
+    """The law follows ``r + shift(gains.offset, setpoint)``; metrics keep the original r.
+
+    shift returns (axes,) m; velocity and acceleration of the setpoint stay. gains: `Offset`.
+    """
+
+    def moved(gains: Offset, setpoint: Setpoint) -> Setpoint:
+        return replace(setpoint, position=setpoint.position + shift(gains.offset, setpoint))
+
+    def init(gains: Offset, setpoint: Setpoint, measurement: Measurement) -> Any:
+        return law.init(gains.law, moved(gains, setpoint), measurement)
+
+    def control(
+        gains: Offset, memory: Any, setpoint: Setpoint, measurement: Measurement, dt: float
+    ) -> tuple[Array, Any]:
+        return law.control(gains.law, memory, moved(gains, setpoint), measurement, dt)
+
+    def settle(gains: Offset, memory: Any, demand: Array, command: Array, dt: float) -> Any:
+        return law.settle(gains.law, memory, demand, command, dt)
+
+    return Controller(name=f"{law.name} on {name}", init=init, control=control, settle=settle)

@@ -1,0 +1,70 @@
+"""Ideal sliding mode: the model is known, dry friction is the bounded disturbance.
+
+    e = r - y,  s = -(c1 e + e')                                                     (15)
+    u = (1/b) (c1 e' - f + r'') - (eta_D / b) w(s),   eta_D = D + eta               (18), (19)
+    f = -(B v + F_L) / M,   b = K_t / M
+
+| symbol | field | unit |
+|---|---|---|
+| c1 | slope | 1/s |
+| eta | switching_gain | m/s2 |
+| D | disturbance_bound | m/s2 |
+| w | the `Switch` the law was made with | 1 |
+
+Once s has been reached |s| <= (eta_D + D) dt with sgn and about eta_D dt with the implicit form;
+the following error is about |s| / c1. Source: Mao et al., Energies 2021, 14, 7802.
+"""
+
+import functools
+from typing import Any
+
+from jax import Array
+
+from jaxstage.blocks import Controller
+from jaxstage.controllers.parts.nominal import RigidAxis, authority
+from jaxstage.controllers.parts.surface import errors, linear_surface
+from jaxstage.fields import gain, known, part, pytree, signal
+from jaxstage.numerics.smooth import Switch, exact
+from jaxstage.signals import Measurement, Setpoint
+
+
+@pytree
+class Sliding:
+    """Gains of the ideal sliding-mode law, one axis."""
+
+    slope: Array = gain("1/s", "c1", "slope of the sliding surface", above=0.0)
+    switching_gain: Array = gain("m/s2", "eta", "switching gain beyond the bound", low=0.0)
+    disturbance_bound: Array = known("m/s2", "D", "bound of the disturbance F_s/M", low=0.0)
+    switch: Any = part("parameters of the switch")
+    nominal: RigidAxis = part("what the law assumes about the axis")
+
+
+@pytree
+class SlidingMemory:
+    """What the law shows."""
+
+    surface: Array = signal("m/s", "s", "sliding variable", shown="mm/s")
+
+
+def _init(gains: Sliding, setpoint: Setpoint, measurement: Measurement) -> SlidingMemory:
+    error, rate = errors(setpoint, measurement)
+    return SlidingMemory(surface=linear_surface(gains.slope, error, rate))
+
+
+@functools.cache
+def sliding(switch: Switch = exact) -> Controller:
+    """The law for one axis with the given switch: `exact`, `smooth` or `implicit`."""
+
+    def control(
+        gains: Sliding, memory: SlidingMemory, setpoint: Setpoint, measurement: Measurement, dt: float
+    ) -> tuple[Array, SlidingMemory]:
+        error, rate = errors(setpoint, measurement)
+        surface = linear_surface(gains.slope, error, rate)
+        axis = gains.nominal
+        drift = -(axis.damping * measurement.velocity + axis.load) / axis.mass
+        full = gains.disturbance_bound + gains.switching_gain
+        switched = full * switch.apply(gains.switch, surface, full * dt)
+        wanted = gains.slope * rate - drift + setpoint.acceleration - switched
+        return wanted / authority(axis), SlidingMemory(surface=surface)
+
+    return Controller(name=f"sliding[{switch.name}]", init=_init, control=control)

@@ -1,0 +1,70 @@
+"""The stage between controller and plant: limits, dead time, current-loop lag."""
+
+import functools
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.blocks import Drive
+from jaxstage.fields import param, pytree, signal
+
+
+def _ideal_init(params: tuple[()], demand: Array) -> tuple[()]:
+    return ()
+
+
+def _ideal_apply(
+    params: tuple[()], memory: tuple[()], demand: Array, dt: float
+) -> tuple[Array, Array, tuple[()]]:
+    return demand, demand, ()
+
+
+@pytree
+class CurrentDrive:
+    """Parameters of `current_drive`."""
+
+    limit: Array = param("1", "u_max", "largest command, in its unit", shape="(axes,)", above=0.0,
+        infinite=True)
+    delay: Array = param("1", "d", "dead time in whole control periods", low=0.0)
+    lag: Array = param("s", "tau", "time constant of the current loop", low=0.0)
+
+
+@pytree
+class CurrentMemory:
+    """Commands under way, newest first, and the output of the lag."""
+
+    queue: Array = signal("1", "u", "past commands", shape="(max_delay + 1, axes)")
+    applied: Array = signal("1", "u_a", "output of the lag", shape="(axes,)")
+
+
+@functools.cache
+def current_drive(max_delay: int = 0) -> Drive:
+    """command = clip(demand, +-u_max); applied = command delayed by ``delay`` periods, then lagged.
+
+    The lag is a_k = a_{k-1} + (1 - exp(-dt/tau)) (u_k - a_{k-1}), held over the period; tau = 0
+    is none. The delay is data, up to the static ``max_delay``; before the first command has
+    arrived the plant sees 0. Raises ValueError for a negative ``max_delay``.
+    """
+    if max_delay < 0:
+        raise ValueError(f"max_delay must be >= 0, got {max_delay}")
+
+    def init(params: CurrentDrive, demand: Array) -> CurrentMemory:
+        zero = jnp.zeros_like(demand)
+        return CurrentMemory(queue=jnp.stack([zero] * (max_delay + 1)), applied=zero)
+
+    def apply(
+        params: CurrentDrive, memory: CurrentMemory, demand: Array, dt: float
+    ) -> tuple[Array, Array, CurrentMemory]:
+        command = jnp.clip(demand, -params.limit, params.limit)
+        queue = jnp.concatenate([command[None], memory.queue[:-1]])
+        arrived = queue[jnp.clip(params.delay, 0, max_delay).astype(jnp.int32)]
+        tau = jnp.where(params.lag > 0, params.lag, jnp.ones_like(params.lag))
+        weight = jnp.where(params.lag > 0, 1 - jnp.exp(-dt / tau), jnp.ones_like(tau))
+        applied = memory.applied + weight * (arrived - memory.applied)
+        return command, applied, CurrentMemory(queue=queue, applied=applied)
+
+    return Drive(name="current_drive", init=init, apply=apply, max_delay=max_delay)
+
+
+#: Applies the demand as it is; params ``()``.
+ideal_drive = Drive(name="ideal_drive", init=_ideal_init, apply=_ideal_apply)

@@ -1,0 +1,158 @@
+"""The two kinds of object of this library, and what a field knows about itself.
+
+* ``@pytree``: data. Frozen keyword-only dataclass, registered with JAX; every field is traced.
+* ``@definition``: what is fixed. Frozen keyword-only dataclass of functions and Python numbers;
+  hashable, never traced, so equal definitions share one compilation.
+
+A field of a pytree is made by `gain` (tuned), `param` (uncertain), `known` (what a controller
+assumes about its plant) or `signal` (computed); each carries its unit, symbol, range and meaning.
+From these come the range checks, ``--set``, the tables of the documentation and the plot labels.
+This is the only file that touches :mod:`dataclasses`.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar, dataclass_transform
+
+import jax
+
+T = TypeVar("T")
+
+#: display unit -> (SI unit, number of display units in one SI unit)
+DISPLAY = {
+    "um": ("m", 1e6),
+    "mm": ("m", 1e3),
+    "mm/s": ("m/s", 1e3),
+    "mm/min": ("m/s", 6e4),
+    "%": ("1", 1e2),
+    "mWh": ("J", 1 / 3.6),
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """What is always true of a field: role, unit, symbol, allowed range, shape, meaning.
+
+    low, high: inclusive bounds; above: exclusive lower bound; at_least: name of a sibling field
+    that this one may not fall below; infinite: inf is a valid value; shown: the display unit, when it is not the SI unit.
+    """
+
+    role: str
+    unit: str
+    symbol: str
+    doc: str
+    shape: str
+    low: float
+    above: float
+    high: float
+    at_least: str
+    infinite: bool
+    shown: str
+
+    @property
+    def factor(self) -> float:
+        """Number of display units in one SI unit."""
+        return DISPLAY[self.shown][1] if self.shown != self.unit else 1.0
+
+    def range_text(self) -> str:
+        """The allowed range in words, e.g. ``> 0 kg``."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        parts = [f"> {self.above:g}{unit}"] if self.above > -math.inf else []
+        parts += [f">= {self.low:g}{unit}"] if self.low > -math.inf else []
+        parts += [f"<= {self.high:g}{unit}"] if self.high < math.inf else []
+        return " and ".join(parts) or "finite"
+
+
+def _quantity(role: str) -> Callable[..., Any]:
+    def field(
+        unit: str,
+        symbol: str = "",
+        doc: str = "",
+        *,
+        shape: str = "()",
+        low: float = -math.inf,
+        above: float = -math.inf,
+        high: float = math.inf,
+        at_least: str = "",
+        infinite: bool = False,
+        shown: str = "",
+    ) -> Any:
+        shown = shown or unit
+        if shown != unit and DISPLAY[shown][0] != unit:
+            raise ValueError(f"cannot show {unit} as {shown}")
+        quantity = Quantity(
+            role=role, unit=unit, symbol=symbol, doc=doc, shape=shape, low=low, above=above,
+            high=high, at_least=at_least, infinite=infinite, shown=shown,
+        )  # fmt: skip
+        return dataclasses.field(metadata={"quantity": quantity})
+
+    return field
+
+
+gain = _quantity("gain")
+param = _quantity("param")
+known = _quantity("known")
+signal = _quantity("signal")
+
+
+def part(doc: str = "") -> Any:
+    """A field that holds another pytree (or an empty tuple)."""
+    return dataclasses.field(metadata={"part": doc})
+
+
+@dataclass_transform(
+    kw_only_default=True, frozen_default=True, field_specifiers=(gain, param, known, signal, part)
+)
+def pytree(cls: type[T]) -> type[T]:
+    """Mark a class as data: frozen keyword-only dataclass, all fields traced."""
+    return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True, kw_only=True)(cls))
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def definition(cls: type[T]) -> type[T]:
+    """Mark a class as a definition: frozen, hashable, compared by value, never traced."""
+    return dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+
+
+def replace(obj: T, **changes: Any) -> T:
+    """A copy of a pytree or definition with some fields changed."""
+    return dataclasses.replace(obj, **changes)  # type: ignore[type-var]
+
+
+def quantities(cls: Any) -> dict[str, Quantity]:
+    """The fields of a pytree class (or instance) that carry a unit."""
+    return {
+        f.name: f.metadata["quantity"]
+        for f in dataclasses.fields(cls)
+        if "quantity" in f.metadata
+    }
+
+
+def parts(cls: Any) -> tuple[str, ...]:
+    """The names of the fields of a pytree class that hold other pytrees."""
+    return tuple(f.name for f in dataclasses.fields(cls) if "quantity" not in f.metadata)
+
+
+def is_pytree_data(obj: Any) -> bool:
+    """True for an instance of a `@pytree` class."""
+    return dataclasses.is_dataclass(obj) and not isinstance(obj, type)
+
+
+def leaves(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity, Any]]:
+    """Every field with a unit below ``tree``: dotted path, quantity and value."""
+    if is_pytree_data(tree):
+        units = quantities(tree)
+        for f in dataclasses.fields(tree):
+            path = f"{prefix}.{f.name}" if prefix else f.name
+            value = getattr(tree, f.name)
+            if f.name in units:
+                yield path, units[f.name], value
+            else:
+                yield from leaves(value, path)
+    elif isinstance(tree, dict):
+        for name, value in tree.items():
+            yield from leaves(value, f"{prefix}.{name}" if prefix else str(name))
+    elif isinstance(tree, tuple | list):
+        for index, value in enumerate(tree):
+            yield from leaves(value, f"{prefix}.{index}" if prefix else str(index))

@@ -1,0 +1,66 @@
+"""Running sums: mean, RMS, maximum, variance, without cancellation."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.fields import pytree, signal
+
+
+@pytree
+class Moments:
+    """Count, mean, sum of squared deviations and largest magnitude of a signal."""
+
+    count: Array = signal("1", "n", "samples so far")
+    mean: Array = signal("1", "", "running mean, in the unit of the signal", shape="any")
+    spread: Array = signal("1", "", "sum of squared deviations from the mean", shape="any")
+    largest: Array = signal("1", "", "largest magnitude", shape="any")
+
+
+def empty(like: Array) -> Moments:
+    """No samples yet of a signal with the shape and type of ``like``."""
+    zero = jnp.zeros_like(like)
+    return Moments(count=jnp.zeros((), like.dtype), mean=zero, spread=zero, largest=zero)
+
+
+def add(moments: Moments, value: Array) -> Moments:
+    """One more sample (Welford): float32 sums of 1e5 samples keep their digits."""
+    count = moments.count + 1
+    delta = value - moments.mean
+    mean = moments.mean + delta / count
+    return Moments(
+        count=count,
+        mean=mean,
+        spread=moments.spread + delta * (value - mean),
+        largest=jnp.maximum(moments.largest, jnp.abs(value)),
+    )
+
+
+def per_sample(moments: Moments) -> Array:
+    """1 / count, NaN before the first sample: an empty window has no result."""
+    return jnp.where(moments.count > 0, 1 / jnp.maximum(moments.count, 1), jnp.nan)
+
+
+def mean(moments: Moments) -> Array:
+    """Arithmetic mean, NaN without samples."""
+    return moments.mean + 0 * per_sample(moments)
+
+
+def variance(moments: Moments) -> Array:
+    """Population variance."""
+    return moments.spread * per_sample(moments)
+
+
+def mean_square(moments: Moments) -> Array:
+    """Mean of the squares."""
+    return variance(moments) + moments.mean**2
+
+
+def root(value: Array) -> Array:
+    """Square root with gradient 0 at 0."""
+    positive = value > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, value, jnp.ones_like(value))), value)
+
+
+def largest(moments: Moments) -> Array:
+    """Largest magnitude, NaN without samples."""
+    return moments.largest + 0 * per_sample(moments)

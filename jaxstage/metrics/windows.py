@@ -1,0 +1,65 @@
+"""Combining metrics: several together, over a window of ticks, and recording."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxstage.blocks import Metric
+from jaxstage.signals import Sample, Setpoint
+
+
+@functools.cache
+def together(*metrics: Metric) -> Metric:
+    """Several metrics in one pass. Report and rows are dicts keyed by the metrics' names.
+
+    Raises ValueError when two metrics share a name.
+    """
+    names = [m.name for m in metrics]
+    if len(set(names)) < len(names):
+        raise ValueError(f"metrics need different names, got {', '.join(names)}")
+
+    def init(setpoint: Setpoint) -> dict[str, Any]:
+        return {m.name: m.init(setpoint) for m in metrics}
+
+    def update(acc: dict[str, Any], sample: Sample, dt: float) -> tuple[dict[str, Any], Any]:
+        pairs = {m.name: m.update(acc[m.name], sample, dt) for m in metrics}
+        rows = {name: row for name, (_, row) in pairs.items() if row is not None}
+        return {name: after for name, (after, _) in pairs.items()}, rows or None
+
+    def finish(acc: dict[str, Any]) -> dict[str, Any]:
+        reports = {m.name: m.finish(acc[m.name]) for m in metrics}
+        return {name: report for name, report in reports.items() if report is not None}
+
+    return Metric(name="together", init=init, update=update, finish=finish)
+
+
+@functools.cache
+def windowed(metric: Metric, start: int, stop: int, name: str = "") -> Metric:
+    """The metric over ticks start <= k < stop only. Raises ValueError for an empty window."""
+    if not 0 <= start < stop:
+        raise ValueError(f"a window needs 0 <= start < stop, got {start} and {stop}")
+
+    def update(acc: Any, sample: Sample, dt: float) -> tuple[Any, Any]:
+        inside = (sample.step >= start) & (sample.step < stop)
+        after, row = metric.update(acc, sample, dt)
+        return jax.tree.map(lambda new, old: jnp.where(inside, new, old), after, acc), row
+
+    return Metric(name=name or metric.name, init=metric.init, update=update, finish=metric.finish)
+
+
+def _no_sums(setpoint: Setpoint) -> tuple[()]:
+    return ()
+
+
+def _keep_sample(acc: tuple[()], sample: Sample, dt: float) -> tuple[tuple[()], Sample]:
+    return acc, sample
+
+
+def _no_report(acc: tuple[()]) -> None:
+    return None
+
+
+#: Stores every `Sample`: memory grows with the length of the run. No report of its own.
+record = Metric(name="record", init=_no_sums, update=_keep_sample, finish=_no_report)

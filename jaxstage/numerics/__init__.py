@@ -1,0 +1,1 @@
+"""Numerical parts without physics: integration, every kink, filters, geometry."""

@@ -1,0 +1,90 @@
+"""Every kink of the library: sign, clip, dead band, play, floor.
+
+A kink that a user may want to soften is a `Switch`: a definition that maps a sliding variable to
+w in [-1, 1]. Its three forms are interchangeable and carry their width as a gain with a unit.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.fields import definition, gain, pytree
+
+
+def positive(x: Array) -> Array:
+    """max(x, 0)."""
+    return jnp.maximum(x, jnp.zeros_like(x))
+
+
+def shrink(x: Array, limit: Array) -> Array:
+    """Soft threshold x - clip(x, -limit, limit): the proximal map of ``limit |x|``.
+
+    One implicit step of dry friction: what is smaller than the limit sticks exactly.
+    """
+    return x - jnp.clip(x, -limit, limit)
+
+
+def play(state: Array, value: Array, half_width: Array) -> Array:
+    """Backlash: the state stays until the value pushes it, clip(state, value - d, value + d)."""
+    return jnp.clip(state, value - half_width, value + half_width)
+
+
+def cell(coordinate: Array, cells: int) -> Array:
+    """Index of the unit cell that holds the coordinate, clip(floor z, 0, cells - 1)."""
+    # clipped before the cast: the compiled engine then knows the range of the index
+    return jnp.clip(jnp.floor(coordinate), 0, cells - 1).astype(jnp.int32)
+
+
+@definition
+class Switch:
+    """w(s) in [-1, 1] in place of sgn s.
+
+    apply(params, surface, reach): ``surface`` s in m/s; ``reach`` in m/s is the change of s that
+    full switching makes in one control period (switching gain times dt).
+    """
+
+    name: str
+    apply: Callable[[Any, Array, Array], Array]
+
+
+def _exact(params: tuple[()], surface: Array, reach: Array) -> Array:
+    return jnp.sign(surface)
+
+
+@pytree
+class SmoothWidth:
+    """Parameters of the `smooth` switch."""
+
+    width: Array = gain("m/s", "phi", "width of the smooth switch", above=0.0, shown="mm/s")
+
+
+def _smooth(params: SmoothWidth, surface: Array, reach: Array) -> Array:
+    return jnp.tanh(surface / params.width)
+
+
+@pytree
+class Layer:
+    """Parameters of the `implicit` switch."""
+
+    layer: Array = gain(
+        "1", "kappa", "boundary layer in units of the change of s per period", above=0.0
+    )
+
+
+def _implicit(params: Layer, surface: Array, reach: Array) -> Array:
+    width = params.layer * reach
+    safe = jnp.where(width > 0, width, jnp.ones_like(width))
+    return jnp.where(width > 0, jnp.clip(surface / safe, -1, 1), jnp.sign(surface))
+
+
+#: w = sgn s, with sgn 0 = 0; params ``()``. Its gradient is zero.
+exact = Switch(name="exact", apply=_exact)
+
+#: w = tanh(s / width); params `SmoothWidth`.
+smooth = Switch(name="smooth", apply=_smooth)
+
+#: w = clip(s / (kappa eta dt), -1, 1); params `Layer`. kappa = 1 is the implicit (dead-beat)
+#: step: it reaches s = 0 and stays. With delay, quantisation or filters kappa 4 to 8 is needed.
+implicit = Switch(name="implicit", apply=_implicit)

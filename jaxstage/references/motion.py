@@ -1,0 +1,179 @@
+"""Motions computed inside the tick: no stored path, so every run of a batch may have its own.
+
+`analytic` takes any position function of time; `nurbs_lap` runs through a NURBS whose arrays are
+the parameters. Both are cached: equal arguments give the identical definition.
+"""
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxstage.blocks import Reference
+from jaxstage.numerics.geometry import bend, norm, projection_step, unit
+from jaxstage.references.nurbs import Nurbs, degree, in_span, span_of
+from jaxstage.signals import Nearest, Setpoint
+
+STEPS = 6
+
+#: r(params, time s) in m, (axes,)
+Position = Callable[[Any, Array], Array]
+
+
+@cache
+def analytic(name: str, position: Position, dt: float) -> Reference:
+    """r(t), r'(t), r''(t) by nested differentiation at t = k dt.
+
+    position: a pure function (params, time () s) -> (axes,) m. dt: s.
+    Where |r'| <= 1e-6 dt |r''| (rest, reversal) the tangent is that of r'' and the curvature 0.
+    ``nearest`` is Newton on the time, from the commanded time, 6 steps; there is no lap, so its
+    `arc` counts from the commanded point (negative: behind it).
+    """
+    return Reference(
+        name=name,
+        sample=partial(_analytic_sample, position, dt),
+        nearest=partial(_analytic_nearest, position, dt),
+    )
+
+
+def _analytic_sample(position: Position, dt: float, params: Any, tick: Array) -> Setpoint:
+    r, v, a = _motion(position, params, _time(params, tick, dt))
+    floor = 1e-6 * dt * norm(a)
+    return Setpoint(
+        position=r,
+        velocity=v,
+        acceleration=a,
+        tangent=unit(v, unit(a, jnp.zeros_like(a)), floor),
+        curvature=bend(v, a, floor),
+    )
+
+
+def _analytic_nearest(
+    position: Position, dt: float, params: Any, tick: Array, tool: Array
+) -> Nearest:
+    begin = time = _time(params, tick, dt)
+    for last in [False] * (STEPS - 1) + [True]:
+        r, v, a = _motion(position, params, time)
+        time = time + projection_step(tool - r, v, a)
+        time = time if last else jax.lax.stop_gradient(time)
+    point = position(params, time)
+    speed = jax.vmap(lambda t: norm(_motion(position, params, t)[1]))
+    arc = _quadrature(speed, begin, time)
+    return Nearest(point=point, distance=norm(tool - point), arc=arc)
+
+
+def _time(params: Any, tick: Array, dt: float) -> Array:
+    """k dt in the float type of the parameters (JAX's default without any)."""
+    kinds = [jnp.asarray(leaf).dtype for leaf in jax.tree.leaves(params)]
+    real = [kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)]
+    return jnp.asarray(tick).astype(real[0] if real else jnp.zeros(()).dtype) * dt
+
+
+def _motion(position: Position, params: Any, time: Array) -> tuple[Array, Array, Array]:
+    def rate(f: Callable[[Array], Array]) -> Callable[[Array], Array]:
+        return lambda t: jax.jvp(f, (t,), (jnp.ones_like(t),))[1]
+
+    at = partial(position, params)
+    return at(time), rate(at)(time), rate(rate(at))(time)
+
+
+def _quadrature(integrand: Callable[[Array], Array], start: Array, end: Array) -> Array:
+    """Gauss, 8 points. start, end: ()."""
+    x, w = np.polynomial.legendre.leggauss(8)
+    middle, half = (start + end) / 2, (end - start) / 2
+    values = integrand(middle + half * jnp.asarray(x, half.dtype))
+    return half * jnp.sum(values * jnp.asarray(w, half.dtype))
+
+
+@cache
+def nurbs_lap(ticks_per_lap: int, dt: float) -> Reference:
+    """u = u_0 + (u_end - u_0) (k mod n)/n, u' = (u_end - u_0)/(n dt); the parameters are a `Nurbs`.
+
+    ticks_per_lap: n. dt: s. The same setpoints as `make_path` with `uniform_parameter`, computed
+    from the curve in every tick.
+    ``nearest`` is Newton on u within the commanded span and, each on its own, the spans before
+    and after it (over the closure too). So corners are exact, as long as the nearest point is
+    not beyond a neighbouring span. Raises ValueError for n < 1.
+    """
+    if ticks_per_lap < 1:
+        raise ValueError(f"ticks_per_lap must be >= 1; got {ticks_per_lap}")
+    return Reference(
+        name="nurbs_lap",
+        sample=partial(_lap_sample, ticks_per_lap, dt),
+        nearest=partial(_lap_nearest, ticks_per_lap),
+    )
+
+
+def _lap_phase(count: int, curve: Nurbs, tick: Array) -> tuple[Array, Array]:
+    """Span and u of a tick: integers first, and a few roundings of slack at the knots."""
+    knots = curve.knots
+    whole = knots[-1] - knots[0]
+    phase = (jnp.asarray(tick) % count).astype(knots.dtype) / count
+    u = knots[0] + whole * phase
+    slack = 8 * jnp.finfo(knots.dtype).eps * jnp.maximum(jnp.abs(knots[0]), jnp.abs(knots[-1]))
+    span = span_of(curve, u, slack)
+    return span, jnp.maximum(u, knots[span])
+
+
+def _lap_sample(count: int, dt: float, curve: Nurbs, tick: Array) -> Setpoint:
+    curve = jax.tree.map(jnp.asarray, curve)
+    span, u = _lap_phase(count, curve, tick)
+    r, first, second = in_span(curve, span, u)
+    rate = (curve.knots[-1] - curve.knots[0]) / (count * dt)
+    floor = 1e-6 / count * norm(second) * (curve.knots[-1] - curve.knots[0])
+    return Setpoint(
+        position=r,
+        velocity=first * rate,
+        acceleration=second * rate * rate,
+        tangent=unit(first, unit(second, jnp.zeros_like(second)), floor),
+        curvature=bend(first, second, floor),
+    )
+
+
+def _lap_nearest(count: int, curve: Nurbs, tick: Array, tool: Array) -> Nearest:
+    curve = jax.tree.map(jnp.asarray, curve)
+    knots, points = curve.knots, curve.control_points
+    own, u = _lap_phase(count, curve, tick)
+    first, last = degree(curve), points.shape[0] - 1
+    extent = jnp.max(jnp.max(points, axis=0) - jnp.min(points, axis=0))
+    closed = jnp.max(jnp.abs(points[-1] - points[0])) <= 1e-6 * extent
+    before = jnp.sum(knots < knots[own], dtype=jnp.int32) - 1
+    after = jnp.sum(knots <= knots[own + 1], dtype=jnp.int32) - 1
+    before = jnp.where(before < first, jnp.where(closed, last, own), before)
+    after = jnp.where(after > last, jnp.where(closed, first, own), after)
+    span = jnp.stack([own, before, after])
+    start = jnp.stack([u, knots[before + 1], knots[after]])
+    point, distance, u = jax.vmap(partial(_in_one_span, curve, tool))(span, start)
+    best = jnp.argmin(distance)
+    return Nearest(point=point[best], distance=distance[best], arc=_lap_arc(curve, u[best]))
+
+
+def _in_one_span(
+    curve: Nurbs, tool: Array, span: Array, start: Array
+) -> tuple[Array, Array, Array]:
+    """Nearest point, distance and u within one span, from u = start."""
+    low, high = curve.knots[span], curve.knots[span + 1]
+    u = jnp.clip(start, low, high)
+    for last in [False] * (STEPS - 1) + [True]:
+        r, first, second = in_span(curve, span, u)
+        u = jnp.clip(u + projection_step(tool - r, first, second), low, high)
+        u = u if last else jax.lax.stop_gradient(u)
+    point = in_span(curve, span, u)[0]
+    return point, norm(tool - point), u
+
+
+def _lap_arc(curve: Nurbs, u: Array) -> Array:
+    """Arc length up to u, by 8 Gauss points in each span; costs nothing where it is not used."""
+
+    def of_span(span: Array) -> Array:
+        low, high = curve.knots[span], curve.knots[span + 1]
+        safe = jnp.where(high > low, span, span_of(curve, low))
+        speed = jax.vmap(lambda v: norm(in_span(curve, safe, v)[1]))
+        return _quadrature(speed, low, jnp.clip(u, low, high))
+
+    every = jnp.arange(degree(curve), curve.weights.shape[-1], dtype=jnp.int32)
+    return jnp.sum(jax.vmap(of_span)(every))

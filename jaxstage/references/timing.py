@@ -1,0 +1,98 @@
+"""How a curve is run through in time: u(t), u'(t), u''(t) on integer ticks (host only).
+
+The phase k/n is computed in double from integers, before any cast; a tick within a few roundings
+of a knot is put on it, and takes the right limit there.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from jaxstage.fields import pytree, signal
+from jaxstage.references.arc import ArcTable, arc_at, arc_table, as_double, parameter_at
+from jaxstage.references.nurbs import Nurbs, in_span, span_of
+
+
+@pytree
+class Ticks:
+    """One lap on integer ticks, float64 numpy."""
+
+    span: np.ndarray = signal("1", "i", "knot span", shape="(ticks,)")
+    u: np.ndarray = signal("1", "u", "curve parameter", shape="(ticks,)")
+    rate: np.ndarray = signal("1/s", "u'", "du/dt", shape="(ticks,)")
+    acceleration: np.ndarray = signal("1/s2", "u''", "d2u/dt2", shape="(ticks,)")
+    arc: np.ndarray = signal("m", "s", "arc length since the start of the lap", shape="(ticks,)")
+    lap_time: np.ndarray = signal("s", "T", "duration of the lap, a whole number of ticks")
+
+
+#: turns a float64 curve and its arc table into the ticks of one lap
+Timing = Callable[[Nurbs, ArcTable], Ticks]
+
+
+def _positive(name: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name} must be finite and > 0 {unit}; got {value!r}")
+
+
+def uniform_parameter(lap_time: float, dt: float) -> Timing:
+    """u_k = u_0 + (u_end - u_0) (k mod n)/n, u' = (u_end - u_0)/(n dt), n = round(T/dt).
+
+    lap_time: s, T. dt: s. Both finite and > 0, T >= dt, else ValueError.
+    Source: Mao et al., Energies 2021, 14, 7802, eqs (32)-(34).
+    """
+    _positive("lap_time", lap_time, "s")
+    _positive("dt", dt, "s")
+    if lap_time < dt:
+        raise ValueError(f"lap_time must be >= dt = {dt:g} s; got {lap_time:g} s")
+    count = round(lap_time / dt)
+
+    def timing(curve: Nurbs, table: ArcTable) -> Ticks:
+        whole = np.ptp(curve.knots)
+        u = curve.knots[0] + whole * (np.arange(count) / count)
+        span = span_of(curve, u, slack=8 * np.finfo(float).eps * np.abs(curve.knots).max())
+        u = np.maximum(u, curve.knots[span])
+        rate = np.full(count, whole / (count * dt))
+        return Ticks(
+            span=span, u=u, rate=rate, acceleration=np.zeros(count),
+            arc=arc_at(curve, table, u), lap_time=np.asarray(count * dt),
+        )  # fmt: skip
+
+    return timing
+
+
+def constant_feed(feed: float, dt: float) -> Timing:
+    """s_k = L (k mod n)/n, u' = v/|C'|, u'' = -v^2 (C' . C'')/|C'|^4, n = round(L/(feed dt)).
+
+    feed: mm/min, adjusted to v = L/(n dt) so that the lap is a whole number of ticks (see
+    `path.mean_feed`). dt: s. Both finite and > 0, else ValueError; so is a lap of under 2 ticks.
+    Where C' = 0, u' is that of a place just inside the span.
+    """
+    _positive("feed", feed, "mm/min")
+    _positive("dt", dt, "s")
+
+    def timing(curve: Nurbs, table: ArcTable) -> Ticks:
+        length = table.arc[-1]
+        count = round(length / (feed / 6e4 * dt))
+        if count < 2:
+            limit = length / (2 * dt) * 6e4
+            raise ValueError(f"feed must be <= {limit:g} mm/min: a lap needs 2 ticks; got {feed:g}")
+        arc = length * (np.arange(count) / count)
+        span, u = parameter_at(curve, table, arc)
+        still = np.linalg.norm(in_span(curve, span, u)[1], axis=-1) <= 1e-9 * length
+        inside = u + np.where(still, 1e-6, 0.0) * (curve.knots[span + 1] - u)
+        _, first, second = in_span(curve, span, inside)
+        square, speed = (first * first).sum(axis=-1), length / (count * dt)
+        return Ticks(
+            span=span, u=u, rate=speed / np.sqrt(square), arc=arc,
+            acceleration=-(speed**2) * (first * second).sum(axis=-1) / square**2,
+            lap_time=np.asarray(count * dt),
+        )  # fmt: skip
+
+    return timing
+
+
+def ticks(curve: Nurbs, timing: Timing) -> Ticks:
+    """The ticks of one lap of a curve."""
+    curve = as_double(curve)
+    return timing(curve, arc_table(curve))

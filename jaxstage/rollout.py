@@ -1,0 +1,180 @@
+"""A run from start to report: scan over ticks, flags for lost runs, resume, replay."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.custom_derivatives import SymbolicZero
+
+from jaxstage.blocks import Loop, Metric
+from jaxstage.check import check
+from jaxstage.fields import replace
+from jaxstage.signals import Carry, Output, Run, Sample, Scenario, Setpoint
+from jaxstage.tick import tick
+
+
+def simulate(
+    loop: Loop,
+    gains: Any,
+    scenario: Scenario,
+    path: Any,
+    ticks: int,
+    carry: Carry | None = None,
+) -> Run:
+    """Simulate one run of ``ticks`` control periods.
+
+    loop: what is fixed. gains: what is tuned. scenario: what is uncertain. path: what is asked
+    (parameters of ``loop.reference``). carry: where an earlier run stopped; the two together
+    equal one long run. Pure: ``vmap`` over gains is a population, over scenario a Monte-Carlo
+    sweep, ``grad`` or ``jacfwd`` over gains is tuning.
+
+    A run whose following error exceeds ``loop.path_limit``, or that is no longer finite, is
+    frozen there and flagged in ``final.left_path_at`` or ``final.non_finite_at``; its report is
+    NaN. Raises ValueError for bad input, naming the value and its allowed range.
+    """
+    if ticks < 1:
+        raise ValueError(f"ticks must be >= 1, got {ticks}")
+    gains, scenario, path = check(loop, gains, scenario, path)
+    return _simulate(loop, ticks, gains, scenario, path, carry)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _simulate(
+    loop: Loop, ticks: int, gains: Any, scenario: Scenario, path: Any, carry: Carry | None
+) -> Run:
+    carry = start(loop, gains, scenario, path) if carry is None else carry
+    carry, rows = _scan(loop, ticks, lambda c: _guarded(loop, gains, scenario, path, c), carry)
+    return Run(report=report(loop, carry), rows=rows, final=carry)
+
+
+def start(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> Carry:
+    """The carry before the first tick."""
+    setpoint = loop.reference.sample(path, jnp.zeros((), jnp.int32))
+    position = setpoint.position + scenario.start.offset
+    velocity = setpoint.velocity * scenario.start.velocity
+    output = Output(
+        position=position, velocity=velocity, drive_position=position, drive_velocity=velocity
+    )
+    state = loop.plant.init(scenario.plant, output)
+    sensor = loop.sensor.init(scenario.sensor, output)
+    measurement, _ = loop.sensor.read(scenario.sensor, sensor, scenario.key, output, loop.dt)
+    never = jnp.full((), -1, jnp.int32)
+    return Carry(
+        state=state,
+        drive=loop.drive.init(scenario.drive, jnp.zeros_like(position)),
+        sensor=sensor,
+        memory=loop.controller.init(gains, setpoint, measurement),
+        metric=loop.metric.init(setpoint),
+        step=jnp.zeros((), jnp.int32),
+        left_path_at=never,
+        non_finite_at=never,
+    )
+
+
+def _scan(loop: Loop, ticks: int, advance: Any, carry: Carry) -> tuple[Carry, Any]:
+    """Scan ``advance``, in checkpointed segments if the loop asks for them."""
+
+    def plain(carry: Carry, length: int) -> tuple[Carry, Any]:
+        return lax.scan(lambda c, _: advance(c), carry, None, length=length)
+
+    if not loop.segment or loop.segment >= ticks:
+        return plain(carry, ticks)
+    whole, rest = divmod(ticks, loop.segment)
+    inner = jax.checkpoint(lambda c: plain(c, loop.segment), prevent_cse=False)
+    carry, rows = lax.scan(lambda c, _: inner(c), carry, None, length=whole)
+    rows = jax.tree.map(lambda r: r.reshape(whole * loop.segment, *r.shape[2:]), rows)
+    if rest:
+        carry, last = plain(carry, rest)
+        rows = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), rows, last)
+    return carry, rows
+
+
+def lost(carry: Carry) -> Array:
+    """True where a run left its path or stopped being finite."""
+    return (carry.left_path_at >= 0) | (carry.non_finite_at >= 0)
+
+
+def _finite(tree: Any) -> Array:
+    checks = [
+        jnp.all(jnp.isfinite(leaf))
+        for leaf in jax.tree.leaves(tree)
+        if jnp.issubdtype(leaf.dtype, jnp.inexact)
+    ]
+    return jnp.all(jnp.stack(checks))
+
+
+def _guarded(
+    loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry
+) -> tuple[Carry, Any]:
+    """One tick that a lost run passes unchanged.
+
+    Only finite values are ever accepted into the carry, so a lost run goes on computing from
+    finite values and changes nothing in the runs beside it.
+    """
+    frozen = lost(carry)
+    setpoint = loop.reference.sample(path, carry.step)
+    output = loop.plant.observe(scenario.plant, carry.state)
+    off = jnp.max(jnp.abs(setpoint.position - output.position)) > loop.path_limit
+    leaves, structure = jax.tree.flatten((gains, scenario, path, carry))
+    (after, row), finite = _checked_tick(loop, structure, *leaves)
+    ok = finite & ~off & ~frozen
+    kept = jax.tree.map(partial(jnp.where, ok), after, carry)
+    flagged = replace(
+        kept,
+        step=after.step,
+        left_path_at=jnp.where(off & ~frozen, carry.step, carry.left_path_at),
+        non_finite_at=jnp.where(~finite & ~off & ~frozen, carry.step, carry.non_finite_at),
+    )
+    return flagged, jax.tree.map(lambda r: _blank(ok, r), row)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _checked_tick(loop: Loop, structure: Any, *leaves: Any) -> tuple[Any, Array]:
+    """`tick` on flattened inputs, and whether all that it would carry on is finite.
+
+    Its derivative is masked at the INPUT where it is not: the cotangent of rejected values is
+    zero, and reverse mode would turn it into 0 x NaN.
+    """
+    after, row = tick(loop, *jax.tree.unflatten(structure, leaves))
+    return (after, row), _finite((after.state, after.drive, after.sensor, after.memory))
+
+
+def _checked_tick_jvp(loop: Loop, structure: Any, primals: Any, tangents: Any) -> Any:
+    moving = [i for i, t in enumerate(tangents) if not isinstance(t, SymbolicZero)]
+
+    def evaluate(*values: Array) -> tuple[Any, Array]:
+        leaves = list(primals)
+        for i, value in zip(moving, values, strict=True):
+            leaves[i] = value
+        return _checked_tick.__wrapped__(loop, structure, *leaves)
+
+    out, derivative = jax.linearize(evaluate, *(primals[i] for i in moving))
+    masked = [jnp.where(out[1], tangents[i], jnp.zeros_like(tangents[i])) for i in moving]
+    return out, derivative(*masked)
+
+
+# symbolic zeros: what is not differentiated (the path above all) must not cost a tick anything
+_checked_tick.defjvp(_checked_tick_jvp, symbolic_zeros=True)
+
+
+def _blank(ok: Array, leaf: Array) -> Array:
+    if jnp.issubdtype(leaf.dtype, jnp.inexact):
+        return jnp.where(ok, leaf, jnp.full_like(leaf, jnp.nan))
+    return leaf
+
+
+def report(loop: Loop, carry: Carry) -> Any:
+    """What the metric finishes with, NaN where the run was lost."""
+    return jax.tree.map(partial(_blank, ~lost(carry)), loop.metric.finish(carry.metric))
+
+
+def replay(metric: Metric, rows: Sample, dt: float) -> tuple[Any, Any]:
+    """The report and rows that ``metric`` would have given on recorded samples.
+
+    rows: what the metric `record` stored, one row per tick. dt: control period in s.
+    """
+    first: Setpoint = jax.tree.map(lambda r: r[0], rows.setpoint)
+    acc, out = lax.scan(lambda a, s: metric.update(a, s, dt), metric.init(first), rows)
+    return metric.finish(acc), out

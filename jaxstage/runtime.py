@@ -1,0 +1,30 @@
+"""How JAX runs. Call `configure` before the first array is made; importing changes nothing."""
+
+import os
+from pathlib import Path
+
+import jax
+
+
+def configure(
+    precision: str = "double", cores: int | None = None, cache: str | Path | None = "default"
+) -> None:
+    """Set precision, XLA devices and compilation cache for this process.
+
+    precision: "double" (64 bit) or "single". cores: XLA host devices, one per core; None leaves
+    JAX's choice. cache: folder for compiled programs, "default" is
+    ``$XDG_CACHE_HOME/jaxstage``, None switches it off. Raises ValueError for a bad value,
+    RuntimeError when JAX has already started with another number of devices.
+    """
+    if precision not in ("single", "double"):
+        raise ValueError(f"precision = '{precision}': must be single or double")
+    if cores is not None:
+        if cores < 1:
+            raise ValueError(f"cores = {cores}: must be >= 1")
+        jax.config.update("jax_num_cpu_devices", cores)
+    jax.config.update("jax_enable_x64", precision == "double")
+    if cache == "default":
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        cache = Path(base) / "jaxstage"
+    jax.config.update("jax_compilation_cache_dir", None if cache is None else str(cache))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)

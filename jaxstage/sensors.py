@@ -1,0 +1,88 @@
+"""What the controller sees of the truth."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.blocks import Sensor
+from jaxstage.fields import param, pytree, signal
+from jaxstage.signals import Measurement, Output
+
+
+def _truth(output: Output) -> Measurement:
+    return Measurement(
+        position=output.position,
+        velocity=output.velocity,
+        drive_position=output.drive_position,
+        drive_velocity=output.drive_velocity,
+    )
+
+
+def _ideal_init(params: tuple[()], output: Output) -> tuple[()]:
+    return ()
+
+
+def _ideal_read(
+    params: tuple[()], memory: tuple[()], key: Array, output: Output, dt: float
+) -> tuple[Measurement, tuple[()]]:
+    return _truth(output), ()
+
+
+@pytree
+class Encoder:
+    """Parameters of `encoder`."""
+
+    resolution: Array = param(
+        "m", "Res", "smallest step of the position; 0: exact", low=0.0, shown="um"
+    )
+    bandwidth: Array = param(
+        "Hz", "f_v", "low-pass of the differenced velocity; inf: none", above=0.0, infinite=True
+    )
+
+
+@pytree
+class EncoderMemory:
+    """Last positions read and the filtered velocities."""
+
+    last: Measurement
+    fresh: Array = signal("1", "", "1 until the first sample was read")
+
+
+def quantise(position: Array, resolution: Array) -> Array:
+    """resolution * floor(position / resolution + 1/2); resolution 0 leaves the position."""
+    step = jnp.where(resolution > 0, resolution, jnp.ones_like(resolution))
+    return jnp.where(resolution > 0, step * jnp.floor(position / step + 0.5), position)
+
+
+def _encoder_init(params: Encoder, output: Output) -> EncoderMemory:
+    return EncoderMemory(last=_truth(output), fresh=jnp.ones((), output.position.dtype))
+
+
+def _encoder_read(
+    params: Encoder, memory: EncoderMemory, key: Array, output: Output, dt: float
+) -> tuple[Measurement, EncoderMemory]:
+    """v <- v + (1 - exp(-2 pi f dt)) ((y_k - y_{k-1})/dt - v); the first sample is the truth."""
+    last = memory.last
+    weight = 1 - jnp.exp(-2 * jnp.pi * params.bandwidth * dt)
+    position = quantise(output.position, params.resolution)
+    drive = quantise(output.drive_position, params.resolution)
+
+    def filtered(now: Array, before: Array, speed: Array, true_speed: Array) -> Array:
+        smoothed = speed + weight * ((now - before) / dt - speed)
+        return jnp.where(memory.fresh > 0, true_speed, smoothed)
+
+    seen = Measurement(
+        position=position,
+        velocity=filtered(position, last.position, last.velocity, output.velocity),
+        drive_position=drive,
+        drive_velocity=filtered(
+            drive, last.drive_position, last.drive_velocity, output.drive_velocity
+        ),
+    )
+    return seen, EncoderMemory(last=seen, fresh=jnp.zeros_like(memory.fresh))
+
+
+#: The exact state; params ``()``.
+ideal_sensor = Sensor(name="ideal_sensor", init=_ideal_init, read=_ideal_read)
+
+#: Quantised position, differenced and filtered velocity; params `Encoder`.
+encoder = Sensor(name="encoder", init=_encoder_init, read=_encoder_read)

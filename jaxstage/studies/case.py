@@ -1,0 +1,120 @@
+"""A loop ready to run: what a study hands to a user."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from jaxstage.blocks import Loop, Metric
+from jaxstage.fields import definition, replace
+from jaxstage.metrics import windowed
+from jaxstage.rollout import simulate
+from jaxstage.signals import Run, Scenario
+
+
+@definition
+class Timing:
+    """How a contour is driven.
+
+    lap_time: s per lap. laps: laps in the run. scored: the lap that the metrics cover, 1 is the
+    first; 0 the whole run; None the last lap. dt: control period in s. substeps: plant steps per
+    period. feed: constant feed rate in mm/min in place of ``lap_time``, or None. duration: length
+    of the run in s in place of ``laps``, or None.
+    """
+
+    lap_time: float = 5.0
+    laps: int = 2
+    scored: int | None = None
+    dt: float = 1e-4
+    substeps: int = 1
+    feed: float | None = None
+    duration: float | None = None
+
+
+class Window(NamedTuple):
+    """Ticks of a run: its length, start and stop of the scored part, and both in laps."""
+
+    ticks: int
+    start: int
+    stop: int
+    laps: float
+    scored: int
+
+
+def check_timing(timing: Timing) -> None:
+    """Raise ValueError for impossible timing, naming the value and its range."""
+    positive = {"lap_time": timing.lap_time, "dt": timing.dt}
+    positive |= {"feed": timing.feed} if timing.feed is not None else {}
+    positive |= {"duration": timing.duration} if timing.duration is not None else {}
+    for name, value in positive.items():
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} = {value}: must be > 0 {'mm/min' if name == 'feed' else 's'}")
+    for name in ("laps", "substeps"):
+        value = getattr(timing, name)
+        if int(value) != value or value < 1:
+            raise ValueError(f"{name} = {value}: must be a whole number >= 1")
+
+
+def window(timing: Timing, lap_ticks: int) -> Window:
+    """The ticks of a run and of its scored part. Raises ValueError when they do not fit."""
+    ticks = timing.laps * lap_ticks
+    if timing.duration is not None:
+        ticks = round(timing.duration / timing.dt)
+        if ticks < 1:
+            raise ValueError(f"duration = {timing.duration} s: must be >= dt = {timing.dt} s")
+    whole_laps = ticks // lap_ticks
+    scored = whole_laps if timing.scored is None else timing.scored
+    laps = ticks / lap_ticks
+    laps = int(laps) if laps == int(laps) else laps
+    if scored == 0:
+        return Window(ticks, 0, ticks, laps, 0)
+    if int(scored) != scored or not 1 <= scored <= whole_laps:
+        raise ValueError(
+            f"scored = {scored}: must be 0 (whole run) or a whole lap of the run, 1..{whole_laps}"
+        )
+    return Window(ticks, (scored - 1) * lap_ticks, scored * lap_ticks, laps, scored)
+
+
+class Case(NamedTuple):
+    """Everything `simulate` needs; ``loop.metric`` is ``metric`` over the scored window."""
+
+    name: str
+    loop: Loop
+    metric: Metric
+    gains: Any
+    scenario: Scenario
+    path: Any
+    timing: Timing
+    window: Window
+
+    def simulate(self) -> Run:
+        """Run the case."""
+        return simulate(self.loop, self.gains, self.scenario, self.path, self.window.ticks)
+
+
+def scored(metric: Metric, ticks: Window) -> Metric:
+    """The metric over the scored ticks only."""
+    return windowed(metric, ticks.start, ticks.stop, name="scored")
+
+
+def with_metric(case: Case, metric: Metric) -> Case:
+    """The case with another metric."""
+    return case._replace(loop=replace(case.loop, metric=metric))
+
+
+@definition
+class NamedLoop:
+    """An entry of a study: name, one line on it, and how to build it."""
+
+    name: str
+    summary: str
+    build: Callable[[Timing], Case]
+
+
+@definition
+class Study:
+    """A published system: its source and its loops."""
+
+    name: str
+    title: str
+    source: str
+    loops: tuple[NamedLoop, ...]

@@ -1,0 +1,1 @@
+"""Tools around the simulator: the command line. Imports jaxstage, never the reverse."""

@@ -1,0 +1,111 @@
+"""The command line: ``jaxstage list``, ``jaxstage run LOOP``."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.exceptions import TyperException
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="Differentiable, batched simulation of CNC feed drives.",
+)
+
+
+def main() -> None:
+    """Entry point. A wrong use prints one line on standard error and exits with status 2."""
+    try:
+        sys.exit(app(standalone_mode=False))
+    except TyperException as error:
+        message = error.format_message() if hasattr(error, "format_message") else str(error)
+        _fail(message)
+    except (KeyboardInterrupt, typer.Abort):
+        sys.exit(130)
+    except ValueError as error:
+        _fail(str(error))
+
+
+def _fail(message: str) -> None:
+    print(f"jaxstage: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(2)
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False):
+    if version:
+        from jaxstage import __version__
+
+        print(__version__)
+        raise typer.Exit()
+
+
+@app.command("list")
+def list_loops() -> None:
+    """The published systems with their loops."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from jaxstage.studies import studies
+
+    console = Console()
+    for study in studies:
+        console.print(f"[bold]{study.name}[/bold]  {study.title}", highlight=False)
+        console.print(f"  {study.source}", highlight=False)
+        table = Table(box=None, show_header=False, padding=(0, 2))
+        for entry in study.loops:
+            table.add_row(entry.name, entry.summary)
+        console.print(table)
+
+
+@app.command()
+def run(
+    loop: Annotated[str, typer.Argument(help="A loop of `jaxstage list`, e.g. dfcmac-circle.")],
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="A gain, plant value or timing, in SI: gains.c1=2, plant.mass=0.0035,0.003, "
+            "nominal.mass=0.003, lap_time=1, laps=1, scored=1, dt=2e-5, substeps=2, feed=1800 "
+            "(mm/min). One value, or one per axis. Repeatable.",
+        ),
+    ] = None,
+    gains: Annotated[Path | None, typer.Option(help="TOML file of gains.")] = None,
+    scenario: Annotated[Path | None, typer.Option(help="TOML file of a scenario.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Length of the run in s, in place of laps.")
+    ] = None,
+    precision: Annotated[str, typer.Option(help="double or single.")] = "double",
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for pictures, run.json, gains.toml, scenario.toml.")
+    ] = None,
+) -> None:
+    """Simulate one loop: verdict, metrics, pictures."""
+    from jaxstage.runtime import configure
+    from tuning import runs
+
+    configure(precision=precision)
+    prepared = runs.prepare(loop, set_ or [], gains, scenario, duration)
+    if out is not None:
+        runs.check_folder(out)
+    result = runs.execute(prepared, out)
+    _print_result(prepared.summary, result, as_json, out)
+
+
+def _print_result(title: str, result: dict[str, Any], as_json: bool, out: Path | None) -> None:
+    for note in result["notes"]:
+        print(f"jaxstage: {note}", file=sys.stderr)
+    if as_json:
+        print(json.dumps(result, indent=2, allow_nan=False))
+        return
+    from tuning.display import show
+
+    show(title, result)
+    if out is not None:
+        print(f"pictures, run.json, gains.toml, scenario.toml: {out}/")

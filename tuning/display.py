@@ -1,0 +1,63 @@
+"""A result as a table in the terminal."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from jaxstage.metrics.table import split_key
+
+
+def verdict(result: dict[str, Any]) -> str:
+    """One line: is the run good for anything, and how far off the contour."""
+    dt = result["dt_s"]
+    if result["left_path_at"] is not None:
+        tick = result["left_path_at"]
+        return f"LOST: the tool left the path at tick {tick} (t = {tick * dt:.4g} s); no figures"
+    if result["non_finite_at"] is not None:
+        tick = result["non_finite_at"]
+        return f"LOST: not finite at tick {tick} (t = {tick * dt:.4g} s); no figures"
+    m = result["metrics"]
+    return (
+        f"on path; contour error {m['contour_rms_um']:.4g} um RMS, {m['contour_max_um']:.4g} um max"
+    )
+
+
+def scored_text(result: dict[str, Any]) -> str:
+    """What the figures cover."""
+    if result["scored"] == 0:
+        return "whole run"
+    return f"lap {result['scored']} of {result['laps']:g}"
+
+
+def show(title: str, result: dict[str, Any]) -> None:
+    """Print verdict and figures: per axis where they exist, scored window and whole run."""
+    console = Console(highlight=False)
+    console.print(f"[bold]{result['loop']}[/bold]  {title}")
+    console.print(verdict(result))
+    console.print(
+        f"{result['duration_s']:g} s, {result['laps']:g} laps of {result['lap_time_s']:g} s, "
+        f"control period {result['dt_s'] * 1e6:g} us, {result['precision']} precision"
+    )
+    if not result["finite"]:
+        return
+    table = Table(box=None, padding=(0, 2))
+    table.add_column("figure")
+    table.add_column(scored_text(result), justify="right")
+    table.add_column("whole run", justify="right")
+    table.add_column("unit")
+    for key, value in result["metrics"].items():
+        name, unit = split_key(key)
+        whole = result["metrics_whole_run"][key]
+        if isinstance(value, dict):
+            for axis in value:
+                table.add_row(f"{name} {axis}", _text(value[axis]), _text(whole[axis]), unit)
+        else:
+            table.add_row(name, _text(value), _text(whole), unit)
+    console.print(table)
+
+
+def _text(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4f}" if 1e-2 <= abs(value) < 1e6 or value == 0 else f"{value:.4g}"

@@ -1,0 +1,58 @@
+"""A finished run as an object for JSON, as text, and as files."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from jaxstage import __version__
+from jaxstage.metrics import columns
+from jaxstage.settings import SCENARIO_PARTS, to_toml
+from jaxstage.signals import Run
+from jaxstage.studies import Case
+
+
+def _tick(value: Any) -> int | None:
+    return int(value) if int(value) >= 0 else None
+
+
+def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The object that ``--json`` prints. Figures of a lost run are None."""
+    axes = case.loop.plant.axes
+    left, broken = _tick(run.final.left_path_at), _tick(run.final.non_finite_at)
+    double = case.path.setpoint.position.dtype == "float64"
+    return {
+        "loop": case.name,
+        "version": __version__,
+        "precision": "double" if double else "single",
+        "dt_s": case.loop.dt,
+        "duration_s": case.window.ticks * case.loop.dt,
+        "lap_time_s": float(case.path.lap_time),
+        "laps": case.window.laps,
+        "scored": case.window.scored,
+        "finite": left is None and broken is None,
+        "left_path_at": left,
+        "non_finite_at": broken,
+        "metrics": columns(run.report["scored"], axes),
+        "metrics_whole_run": columns(run.report["whole"], axes),
+        "notes": list(notes),
+    }
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    partial = file.with_name(file.name + ".partial")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, file)
+
+
+def write_settings(folder: Path, case: Case, result: dict[str, Any]) -> None:
+    """run.json, gains.toml and scenario.toml: what happened, and what ``--gains`` and
+    ``--scenario`` take back."""
+    scenario = {name: getattr(case.scenario, name) for name in SCENARIO_PARTS}
+    seed = {"seed": int(jax.random.key_data(case.scenario.key)[-1])}
+    write_text(folder / "run.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
+    write_text(folder / "gains.toml", to_toml({"gains": case.gains}))
+    write_text(folder / "scenario.toml", to_toml(scenario, seed))

@@ -1,0 +1,161 @@
+"""One run from the words of a user to its result."""
+
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+
+from jaxstage import settings
+from jaxstage.check import check
+from jaxstage.fields import replace
+from jaxstage.metrics import record, together
+from jaxstage.studies import Case, NamedLoop, Timing, studies, with_metric
+from tuning.results import summary, write_settings
+
+#: settings that belong to the timing, with their types
+TIMING = {
+    "lap_time": float, "laps": int, "scored": int, "dt": float, "substeps": int, "feed": float,
+}  # fmt: skip
+
+
+class Prepared(NamedTuple):
+    """A case with all settings applied, and what the user should know about it."""
+
+    case: Case
+    summary: str
+    notes: tuple[str, ...]
+
+
+def find(name: str) -> NamedLoop:
+    """The loop called ``name``. Raises ValueError with the nearest known name."""
+    entries = {entry.name: entry for study in studies for entry in study.loops}
+    if name not in entries:
+        hint = settings.nearest_name(name, entries)
+        raise ValueError(f"unknown loop '{name}'{hint} `jaxstage list` shows all")
+    return entries[name]
+
+
+def prepare(
+    loop: str,
+    words: list[str],
+    gains_file: Path | None = None,
+    scenario_file: Path | None = None,
+    duration: float | None = None,
+) -> Prepared:
+    """Build a loop and apply files first, then ``NAME=VALUE`` words.
+
+    Raises ValueError in one line for anything unknown, ambiguous or out of range.
+    """
+    entry = find(loop)
+    given = dict(_word(word) for word in words)
+    timing = _timing({k: v for k, v in given.items() if k in TIMING}, duration)
+    case = entry.build(timing)
+    changed: tuple[str, ...] = ()
+    for file, roots in ((gains_file, ("gains",)), (scenario_file, settings.SCENARIO_PARTS)):
+        if file is not None:
+            case, paths = _from_file(case, file, roots)
+            changed += paths
+    values = {k: _numbers(k, v) for k, v in given.items() if k not in TIMING}
+    case, paths = _applied(case, values, tuple(TIMING))
+    changed += paths
+    check(case.loop, case.gains, case.scenario, case.path)
+    return Prepared(case, entry.summary, _notes(case, changed))
+
+
+def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
+    """Simulate; with ``out``, write pictures and settings there. Returns the JSON object."""
+    case = prepared.case
+    metrics = (case.loop.metric, replace(case.metric, name="whole"), *((record,) if out else ()))
+    run = with_metric(case, together(*metrics)).simulate()
+    result = summary(case, run, prepared.notes)
+    if out is not None:
+        from jaxstage.plot import pictures
+
+        out.mkdir(parents=True, exist_ok=True)
+        pictures(case, run.report["scored"], run.rows["record"], result, out)
+        write_settings(out, case, result)
+    return result
+
+
+def check_folder(out: Path) -> None:
+    """Refuse an output folder that cannot be written, before any work is done."""
+    existing = out
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise ValueError(f"--out {out}: {existing} is not a folder")
+    if not os.access(existing, os.W_OK):
+        raise ValueError(f"--out {out}: no permission to write in {existing}")
+
+
+def _word(word: str) -> tuple[str, str]:
+    name, equals, value = word.partition("=")
+    if not equals or not name.strip() or not value.strip():
+        raise ValueError(f"--set {word}: must be NAME=VALUE, e.g. gains.c1=2")
+    return name.strip(), value.strip()
+
+
+def _numbers(name: str, text: str) -> list[float]:
+    try:
+        return [float(item) for item in text.split(",")]
+    except ValueError:
+        raise ValueError(
+            f"--set {name}={text}: must be a number, or one number per axis split by commas"
+        ) from None
+
+
+def _timing(words: Mapping[str, str], duration: float | None) -> Timing:
+    values: dict[str, Any] = {}
+    for name, text in words.items():
+        (number,) = _numbers(name, text)[:1]
+        if TIMING[name] is int:
+            if not math.isfinite(number) or number != int(number):
+                raise ValueError(f"--set {name}={text}: must be a whole number")
+            number = int(number)
+        values[name] = number
+    return Timing(**values, duration=duration)
+
+
+def _from_file(case: Case, file: Path, roots: tuple[str, ...]) -> tuple[Case, tuple[str, ...]]:
+    values = settings.read_toml(file)
+    if "seed" in values and "plant" in roots:
+        case = case._replace(
+            scenario=replace(case.scenario, key=jax.random.key(int(values.pop("seed"))))
+        )
+    changed: tuple[str, ...] = ()
+    for name, value in values.items():
+        try:
+            if name.partition(".")[0] not in roots:
+                raise ValueError(f"'{name}' is not in [{'], ['.join(roots)}]")
+            case, paths = _applied(case, {name: value})
+            check(case.loop, case.gains, case.scenario, case.path)
+        except ValueError as error:
+            raise ValueError(f"{file}:{settings.line_of(file, name)}: {error}") from None
+        changed += paths
+    return case, changed
+
+
+def _applied(
+    case: Case, values: Mapping[str, Any], other_names: tuple[str, ...] = ()
+) -> tuple[Case, tuple[str, ...]]:
+    gains, scenario, paths = settings.apply(case.gains, case.scenario, values, other_names)
+    return case._replace(gains=gains, scenario=scenario), paths
+
+
+def _notes(case: Case, changed: tuple[str, ...]) -> tuple[str, ...]:
+    """Say which assumptions of the controller a changed plant value did not move."""
+    known = settings.known_leaves(case.gains, case.scenario)
+    notes = []
+    for path in changed:
+        root, _, field = path.partition(".")
+        assumed = next((p for p in known if p.endswith(f"nominal.{field}")), None)
+        if root == "plant" and assumed and assumed not in changed:
+            value = ", ".join(f"{v:g}" for v in known[assumed][1])
+            notes.append(
+                f"{path} changed; the controller still assumes nominal.{field} = {value} "
+                f"(set nominal.{field}=... to change that)"
+            )
+    return tuple(notes)
