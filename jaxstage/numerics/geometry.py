@@ -2,6 +2,7 @@
 
 Everything acts on the last axis, works in one, two and three dimensions, and has a finite
 gradient everywhere: a guarded square root never meets zero, in the value nor in the derivative.
+NaN passes through.
 """
 
 import jax.numpy as jnp
@@ -16,8 +17,8 @@ def dot(a: Array, b: Array) -> Array:
 def norm(v: Array) -> Array:
     """|v|, with gradient 0 where v = 0. v: (..., axes)."""
     square = dot(v, v)
-    positive = square > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
+    zero = square == 0
+    return jnp.where(zero, 0, jnp.sqrt(jnp.where(zero, 1, square)))
 
 
 def unit(v: Array, fallback: Array, floor: Array | float = 0.0) -> Array:
@@ -26,10 +27,8 @@ def unit(v: Array, fallback: Array, floor: Array | float = 0.0) -> Array:
     v, fallback: (..., axes), in any unit and dimensionless. floor: same unit as v, >= 0.
     """
     length = norm(v)
-    usable = length > floor
-    return jnp.where(
-        usable[..., None], v / jnp.where(usable, length, 1)[..., None], fallback
-    )
+    small = length <= floor
+    return jnp.where(small[..., None], fallback, v / jnp.where(small, 1, length)[..., None])
 
 
 def normal_part(error: Array, tangent: Array) -> Array:
@@ -60,10 +59,10 @@ def bend(velocity: Array, acceleration: Array, floor: Array | float = 0.0) -> Ar
     velocity, acceleration: (..., axes), first and second derivative by the same parameter.
     """
     speed = norm(velocity)
-    usable = speed > floor
+    small = speed <= floor
     tangent = unit(velocity, jnp.zeros_like(velocity), floor)
     across = norm(normal_part(acceleration, tangent))
-    return jnp.where(usable, across / jnp.where(usable, speed * speed, 1), 0)
+    return jnp.where(small, 0, across / jnp.where(small, 1, speed * speed))
 
 
 def projection_step(offset: Array, first: Array, second: Array) -> Array:
@@ -76,5 +75,5 @@ def projection_step(offset: Array, first: Array, second: Array) -> Array:
     square = dot(first, first)
     newton = square - dot(offset, second)
     den = jnp.where(newton < 0.5 * square, square, newton)
-    moving = den > 0
-    return jnp.where(moving, dot(offset, first) / jnp.where(moving, den, 1), 0)
+    still = den == 0
+    return jnp.where(still, 0, dot(offset, first) / jnp.where(still, 1, den))

@@ -66,9 +66,7 @@ def arc_at(curve: Nurbs, table: ArcTable, u: np.ndarray) -> np.ndarray:
     return table.arc[cell] + _integral(curve, table.span[cell], table.u[cell], u)
 
 
-def parameter_at(
-    curve: Nurbs, table: ArcTable, arc: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def parameter_at(curve: Nurbs, table: ArcTable, arc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Knot span and u with s(u) = arc, by safeguarded Newton; right limit at a knot.
 
     arc: (m,) m, within [0, length].

@@ -44,9 +44,7 @@ def nurbs(
         raise ValueError(f"degree must be an integer >= 1; got {degree!r}")
     count = len(points)
     if count < degree + 1:
-        raise ValueError(
-            f"degree {degree} needs at least {degree + 1} control points; got {count}"
-        )
+        raise ValueError(f"degree {degree} needs at least {degree + 1} control points; got {count}")
     if not np.isfinite(points).all():
         raise ValueError("control_points must be finite (m)")
     weight = np.ones(count) if weights is None else np.asarray(weights, dtype=np.float64)
@@ -144,9 +142,7 @@ def span_of(curve: Nurbs, u: Any, slack: float = 0.0) -> Any:
     u: (...). slack: in units of u; a few roundings, so that k/n lands on the knot it means.
     """
     below = curve.knots <= u[..., None] + slack
-    return (below.sum(axis=-1, dtype=np.int32) - 1).clip(
-        degree(curve), curve.weights.shape[-1] - 1
-    )
+    return (below.sum(axis=-1, dtype=np.int32) - 1).clip(degree(curve), curve.weights.shape[-1] - 1)
 
 
 def in_span(curve: Nurbs, span: Any, u: Any) -> tuple[Any, Any, Any]:

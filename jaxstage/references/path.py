@@ -1,9 +1,8 @@
 """A lap stored in memory: the setpoint of every tick, and the curve for the contour error.
 
-The curve is kept as cubic Hermite segments, uniform in arc length within each knot span, so
-accurate that the distance to them is the distance to the curve. The lap is cut into smooth pieces
-at its corners (tangent jump > 1e-6 rad at a knot, closure included). Each tick knows its seat: the
-segment it lies in, and the range of the window on its piece; near a corner also on the others.
+The contour error is the distance to the nearest point of the continuous curve on the local branch:
+commanded arc length within a window around the commanded point. It is found by Newton along the
+smooth pieces that the window touches (see `segments`).
 """
 
 import jax
@@ -15,44 +14,20 @@ from numpy.typing import DTypeLike
 from jaxstage.blocks import Reference
 from jaxstage.fields import part, pytree, signal
 from jaxstage.numerics.geometry import norm, projection_step
-from jaxstage.references.arc import (
-    ArcTable,
-    arc_at,
-    arc_table,
-    as_double,
-    host_frame,
-    parameter_at,
-    spans,
-)
+from jaxstage.references.arc import arc_at, arc_table, as_double, host_frame, spans
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
+from jaxstage.references.segments import (
+    Seats,
+    Segments,
+    lap_seats,
+    lap_segments,
+    smooth_pieces,
+)
 from jaxstage.references.timing import Ticks, Timing
 from jaxstage.signals import Nearest, Setpoint
 
-CORNER = 1e-6  # rad
-TABLE_ERROR = 1e-10  # m
-MOST_SEGMENTS = 2**15
 STEPS = 3  # Newton steps of the nearest point: exact for errors below 1 mm on these contours
 WINDOW = 0.01  # of the lap, either side
-
-
-@pytree
-class Segments:
-    """r(f) = c0 + f (c1 + f (c2 + f c3)), 0 <= f <= 1, for each segment."""
-
-    cubic: Array = signal("m", "c", "c0 (its start), c1, c2, c3", shape="(segments, 4, axes)")
-    arc: Array = signal("m", "s", "arc length where it starts", shape="(segments,)")
-    length: Array = signal("m", "h", "its length", shape="(segments,)")
-
-
-@pytree
-class Seats:
-    """Where each tick sits. Coordinates count segments from `base`; first the tick's own piece."""
-
-    base: Array = signal("1", "", "segment, int32", shape="(ticks, pieces)")
-    start: Array = signal("1", "", "where the search starts", shape="(ticks, pieces)")
-    low: Array = signal("1", "", "start of the window", shape="(ticks, pieces)")
-    high: Array = signal("1", "", "end of the window", shape="(ticks, pieces)")
-    corner: Array = signal("1", "", "true where the window holds a corner", shape="(ticks,)")
 
 
 @pytree
@@ -84,10 +59,10 @@ def make_path(
     table = arc_table(curve)
     moments = timing(curve, table)
     bounds = arc_at(curve, table, curve.knots[np.append(spans(curve), len(curve.weights))])
-    pieces, endless = _pieces(curve)
-    segments, unrolled, rows, error = _segments(curve, table, bounds, pieces)
+    pieces, endless = smooth_pieces(curve)
+    segments, unrolled, rows, error = lap_segments(curve, table, bounds, pieces)
     shifts = (-1, 0, 1) if is_closed(curve) and not endless else (0,)
-    seats = _seats(segments, unrolled, rows, moments.arc, table.arc[-1], window, shifts)
+    seats = lap_seats(segments, unrolled, rows, moments.arc, table.arc[-1], window, shifts)
     path = Path(
         setpoint=_setpoints(curve, moments), segments=segments,
         seats=seats, lap_time=moments.lap_time,
@@ -116,104 +91,6 @@ def _setpoints(curve: Nurbs, moments: Ticks) -> Setpoint:
     )  # fmt: skip
 
 
-def _pieces(curve: Nurbs) -> tuple[list[np.ndarray], bool]:
-    """The smooth pieces, each a run of span numbers, and whether the lap has no corner at all.
-
-    Span i + spans is span i of the next lap: the last piece may run over the closure.
-    """
-    used = spans(curve)
-    _, out, _ = host_frame(curve, used, curve.knots[used])
-    _, into, _ = host_frame(curve, used, curve.knots[used + 1], side=-1)
-    into = np.roll(into, 1, axis=0)
-    apart, along = (np.linalg.norm(out + sign * into, axis=-1) for sign in (-1, 1))
-    corner = 2 * np.arctan2(apart, along) > CORNER
-    corner[0] |= not is_closed(curve)
-    if not corner.any():
-        return [np.arange(-len(used), 2 * len(used))], True
-    starts = np.flatnonzero(corner)
-    ends = np.append(starts[1:], starts[0] + len(used))
-    return [np.arange(a, b) for a, b in zip(starts, ends, strict=True)], False
-
-
-def _hermite(
-    curve: Nurbs, table: ArcTable, i: int, bounds: np.ndarray, step: float
-) -> tuple[Segments, float]:
-    """Equal segments of at most ``step`` m over span number i, and their largest error."""
-    span, (start, end) = spans(curve)[i], bounds[i : i + 2]
-    count = int(np.ceil((end - start) / step * (1 - 1e-12)))
-    h = (end - start) / count
-    u = parameter_at(curve, table, start + h * np.arange(1, count))[1]
-    u = np.concatenate([curve.knots[[span]], u, curve.knots[[span + 1]]])
-    where = np.full(count + 1, span)
-    p, t, _ = host_frame(curve, where, u)
-    t[-1] = host_frame(curve, where[-1:], u[-1:], side=-1)[1][0]
-    d, a, b = np.diff(p, axis=0), h * t[:-1], h * t[1:]
-    cubic = np.stack([p[:-1], a, 3 * d - 2 * a - b, a + b - 2 * d], axis=1)
-    arc = start + h * np.arange(count)
-    f = np.array([0.25, 0.5, 0.75])
-    true = in_span(curve, *parameter_at(curve, table, (arc[:, None] + h * f).ravel()))[0]
-    made = np.einsum("fk,skd->sfd", f[:, None] ** np.arange(4), cubic)
-    error = np.linalg.norm(made.reshape(true.shape) - true, axis=-1).max()
-    made = Segments(cubic=cubic, arc=arc, length=np.full(count, h))  # type: ignore[arg-type]
-    return made, float(error)
-
-
-def _segments(
-    curve: Nurbs, table: ArcTable, bounds: np.ndarray, pieces: list[np.ndarray]
-) -> tuple[Segments, np.ndarray, np.ndarray, np.ndarray]:
-    """The table, its arc lengths unrolled, the first row of each piece (and the end), the error.
-
-    A lap without corners stands there three times, so that the search never wraps around.
-    """
-    spans_, length = len(bounds) - 1, bounds[-1]
-    least = 4 * length / MOST_SEGMENTS
-    step = max(min(length / 64, np.diff(bounds).min()), least)
-    while True:
-        made = [_hermite(curve, table, i, bounds, step) for i in range(spans_)]
-        error = max(e for _, e in made)
-        if error <= TABLE_ERROR or step / 2 < least:
-            break
-        step /= 2
-    order = np.concatenate(pieces)
-    parts = [made[i % spans_][0] for i in order]
-    unrolled = [s.arc + length * (i // spans_) for i, s in zip(order, parts, strict=True)]
-    rows = np.cumsum([0, *(sum(len(made[i % spans_][0].arc) for i in p) for p in pieces)])
-    table_of = jax.tree.map(lambda *x: np.concatenate(x), *parts)
-    return table_of, np.concatenate(unrolled), rows, np.asarray(error)
-
-
-def _seats(
-    segments: Segments, unrolled: np.ndarray, rows: np.ndarray, arc: np.ndarray, length: float,
-    window: float, shifts: tuple[int, ...],
-) -> Seats:  # fmt: skip
-    """The seats of ticks at arc length ``arc`` (ticks,); ``shifts``: the laps looked at."""
-    reach, snap = window * length, 1e-12 * length
-    piece = np.tile(np.arange(len(rows) - 1), len(shifts))
-    lap = np.repeat(shifts, len(rows) - 1) * length
-    begin = unrolled[rows[piece]] + lap
-    own, first, last = (
-        np.maximum(np.searchsorted(begin, x, side="right") - 1, 0)
-        for x in (arc + snap, arc - reach + snap, arc + reach - snap)
-    )
-    others = first[:, None] + np.arange((last - first).max())
-    others = others + (others >= own[:, None])
-    others = np.where(others > last[:, None], own[:, None], others)
-    seat = np.concatenate([own[:, None], others], axis=1)
-
-    def coordinate(x: np.ndarray) -> np.ndarray:
-        x = x[:, None] - lap[seat]
-        row = np.searchsorted(unrolled, x + snap, side="right") - 1
-        row = np.clip(row, rows[piece[seat]], rows[piece[seat] + 1] - 1)
-        return row + np.clip((x - unrolled[row]) / segments.length[row], 0, 1)
-
-    start = coordinate(arc)
-    base = np.minimum(np.floor(start), rows[piece[seat] + 1] - 1)
-    return Seats(
-        base=base.astype(np.int32), start=start - base, low=coordinate(arc - reach) - base,
-        high=coordinate(arc + reach) - base, corner=last > first,
-    )  # fmt: skip
-
-
 def sample(path: Path, tick: Array) -> Setpoint:
     """The setpoint of tick mod n. tick: () integer."""
     row = tick % path.seats.corner.shape[0]
@@ -229,8 +106,7 @@ def nearest(path: Path, tick: Array, position: Array) -> Nearest:
     """
     row = tick % path.seats.corner.shape[0]
     base, start, low, high = (
-        _row(x, row)
-        for x in (path.seats.base, path.seats.start, path.seats.low, path.seats.high)
+        _row(x, row) for x in (path.seats.base, path.seats.start, path.seats.low, path.seats.high)
     )
 
     def of(i: int) -> Nearest:
@@ -284,7 +160,8 @@ def _on_piece(
     return Nearest(
         point=c[0] + along,
         distance=norm((position - c[0]) - along),
-        arc=segments.arc.at[index].get(mode="clip") + f * segments.length.at[index].get(mode="clip"),
+        arc=segments.arc.at[index].get(mode="clip")
+        + f * segments.length.at[index].get(mode="clip"),
     )
 
 

@@ -138,13 +138,13 @@ def pi_gains() -> Pi:
 def cascade_gains() -> Cascade:
     """The industrial cascade, tuned by hand for dt = 0.1 ms (all values chosen)."""
     return Cascade(
-        position_gain=_xy(500.0),
-        velocity_gain=_xy(2000.0),
+        position_gain=_xy(600.0),
+        velocity_gain=_xy(4000.0),
         integral_gain=_xy(1.0e6),
         velocity_feedforward=_xy(1.0),
         acceleration_feedforward=_xy(1.0),
         friction_feedforward=_xy(1.0),
-        friction_width=_xy(1e-3),
+        friction_width=_xy(1e-4),
         nominal=nominal(),
     )
 

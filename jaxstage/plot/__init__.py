@@ -1,0 +1,28 @@
+"""Pictures of a run: figures with units, settings and the verdict on them.
+
+    from jaxstage import plot
+
+    shown = plot.view(case, run.report["scored"], run.rows["record"])
+    plot.contour(shown)
+
+view       a recorded run as plain arrays, ready to draw
+contour    the reference and the tool path, contour error magnified
+axes       position and following error of each axis
+error      contour error against time and along the lap
+command    what the drive was asked for, and a closer look at a reversal
+weights    what an adaptive law learned
+surface    sliding variable and phase plane
+pictures   all that apply to a run, as PNG files
+
+The only part of the library that imports matplotlib; it uses no global figure or style.
+"""
+
+from jaxstage.plot.axes import axes as axes
+from jaxstage.plot.command import command as command
+from jaxstage.plot.contour import contour as contour
+from jaxstage.plot.error import error as error
+from jaxstage.plot.pictures import pictures as pictures
+from jaxstage.plot.surface import surface as surface
+from jaxstage.plot.view import View as View
+from jaxstage.plot.view import view as view
+from jaxstage.plot.weights import weights as weights

@@ -1,0 +1,68 @@
+"""All pictures of a run as files."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from jaxstage.plot.axes import axes
+from jaxstage.plot.command import command
+from jaxstage.plot.contour import contour
+from jaxstage.plot.error import error
+from jaxstage.plot.surface import surface
+from jaxstage.plot.view import View, view
+from jaxstage.plot.weights import weights
+from jaxstage.signals import Sample
+from jaxstage.studies import Case
+
+
+def pictures(
+    case: Case, report: Any, rows: Sample, result: Mapping[str, Any], folder: Path
+) -> tuple[Path, ...]:
+    """Draw what applies to the run into ``folder``, which must exist; returns the files.
+
+    report: the figures of the scored part. rows: what the metric `record` stored. result: the
+    summary of the run; its ``left_path_at`` and ``non_finite_at`` say why a run was lost.
+    A picture of an earlier run that does not apply to this one is removed.
+    """
+    shown = view(case, report, rows, _because(case, result))
+    files = []
+    for name, draw, applies in _menu(shown):
+        file = folder / f"{name}.png"
+        if applies:
+            save(draw(shown), file)
+            files.append(file)
+        else:
+            file.unlink(missing_ok=True)
+    return tuple(files)
+
+
+def save(drawn: Figure, file: Path) -> None:
+    """Write a PNG whole or not at all."""
+    partial = file.with_name(file.name + ".partial")
+    try:
+        drawn.savefig(partial, format="png")
+        os.replace(partial, file)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _menu(shown: View) -> tuple[tuple[str, Any, bool], ...]:
+    """Name, drawing function and whether it applies."""
+    some = len(shown.time) > 0
+    return (
+        ("contour", contour, some and len(shown.axes) > 1),
+        ("axes", axes, some),
+        ("error", error, some),
+        ("command", command, some),
+        ("weights", weights, some and shown.weights is not None),
+        ("surface", surface, some and shown.surface is not None),
+    )
+
+
+def _because(case: Case, result: Mapping[str, Any]) -> str:
+    if result["left_path_at"] is not None:
+        return f"following error above {case.loop.path_limit * 1e3:g} mm"
+    return "a value is not finite"
