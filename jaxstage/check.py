@@ -11,10 +11,17 @@ from jaxstage.fields import Quantity, leaves
 from jaxstage.signals import Scenario
 
 
-def check(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> tuple[Any, Scenario, Any]:
+#: in a tree of batch axes: a leaf that all runs share
+SHARED = -1
+
+
+def check(
+    loop: Loop, gains: Any, scenario: Scenario, path: Any, in_axes: Any = None
+) -> tuple[Any, Scenario, Any]:
     """Validate the inputs of a run and make every number a strong array of the path's type.
 
-    Values under a trace (``jit``, ``vmap``, ``grad``) are checked for shape only. Raises
+    Values under a trace (``jit``, ``vmap``, ``grad``) are checked for shape only. in_axes: the
+    three trees of batch axes (0 or `SHARED` a leaf) of a batch of runs, None for one run. Raises
     ValueError naming the value, where it stands and what is allowed.
     """
     path = jax.tree.map(jnp.asarray, path)
@@ -23,15 +30,21 @@ def check(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> tuple[Any, S
     scenario = strong(scenario, dtype)
     check_loop(loop)
     axes = loop.plant.axes
-    sampled = jax.eval_shape(loop.reference.sample, path, jnp.zeros((), jnp.int32))
+    if in_axes is None:
+        in_axes = jax.tree.map(lambda _: SHARED, (gains, scenario, path))
+    one_path = jax.tree.map(
+        lambda x, a: x if a == SHARED else jax.ShapeDtypeStruct(x.shape[1:], x.dtype),
+        path, in_axes[2],
+    )  # fmt: skip
+    sampled = jax.eval_shape(loop.reference.sample, one_path, jnp.zeros((), jnp.int32))
     if sampled.position.shape != (len(axes),):
         raise ValueError(
             f"the path has {sampled.position.shape[-1]} axes, "
             f"but {loop.plant.name} has {len(axes)} ({', '.join(axes)})"
         )
-    check_leaves(gains, "gains", axes, per_axis=True)
+    check_leaves(gains, "gains", axes, in_axes[0], per_axis=True)
     for name in ("plant", "load", "sensor", "drive", "start"):
-        check_leaves(getattr(scenario, name), name, axes)
+        check_leaves(getattr(scenario, name), name, axes, getattr(in_axes[1], name))
     _check_delay(loop, scenario)
     return gains, scenario, path
 
@@ -70,14 +83,19 @@ def check_loop(loop: Loop) -> None:
             raise ValueError(f"loop.{name} = {getattr(loop, name)}: must be a whole number")
 
 
-def check_leaves(tree: Any, root: str, axes: tuple[str, ...], per_axis: bool = False) -> None:
+def check_leaves(
+    tree: Any, root: str, axes: tuple[str, ...], batch: Any, per_axis: bool = False
+) -> None:
     """Check shape and range of every field below ``tree``; ``root`` begins the names.
 
-    per_axis: fields described for one axis may carry a leading (axes,).
+    batch: the same tree with 0 where a leaf has a leading batch axis, else `SHARED`. per_axis:
+    fields described for one axis may carry a leading (axes,).
     """
     values = {path: value for path, _, value in leaves(tree, root)}
+    batched = {path: axis != SHARED for path, _, axis in leaves(batch, root)}
     for path, quantity, value in leaves(tree, root):
-        _check_shape(path, quantity, np.shape(value), axes, per_axis)
+        shape = np.shape(value)[1:] if batched[path] else np.shape(value)
+        _check_shape(path, quantity, shape, axes, per_axis)
         if isinstance(value, jax.core.Tracer):
             continue
         array = np.asarray(value)
@@ -89,7 +107,10 @@ def check_leaves(tree: Any, root: str, axes: tuple[str, ...], per_axis: bool = F
                 bad = array < np.asarray(other)
                 allowed = f">= {quantity.at_least}"
         if bad.any():
-            raise ValueError(_message(path, quantity, array, bad, allowed, axes))
+            if bad.ndim > array.ndim:
+                array = np.broadcast_to(array, bad.shape)
+            lanes = bad.ndim > len(shape)
+            raise ValueError(_message(path, quantity, array, bad, allowed, axes, lanes))
 
 
 def _check_shape(
@@ -113,15 +134,16 @@ def _out_of_range(quantity: Quantity, array: np.ndarray) -> np.ndarray:
 
 def _message(
     path: str, quantity: Quantity, array: np.ndarray, bad: np.ndarray, allowed: str,
-    axes: tuple[str, ...],
+    axes: tuple[str, ...], lanes: bool,
 ) -> str:  # fmt: skip
     index = tuple(int(i) for i in np.argwhere(bad)[0])
-    where = ""
-    if index and array.shape[0] == len(axes):
-        rest = "".join(f"[{i}]" for i in index[1:])
-        where = f" ({axes[index[0]]}){rest}"
-    elif index:
-        where = f"{list(index)}"
+    inner, sizes = (index[1:], array.shape[1:]) if lanes else (index, array.shape)
+    where = f" of run {index[0]}" if lanes else ""
+    if inner and sizes[0] == len(axes):
+        rest = "".join(f"[{i}]" for i in inner[1:])
+        where += f" ({axes[inner[0]]}){rest}"
+    elif inner:
+        where += f"{list(inner)}"
     symbol = f" [{quantity.symbol}]" if quantity.symbol else ""
     unit = "" if quantity.unit == "1" else f" {quantity.unit}"
     return f"{path}{where}{symbol} = {array[index]:g}{unit}: must be {allowed}"

@@ -59,8 +59,8 @@ def current_drive(max_delay: int = 0) -> Drive:
         queue = jnp.concatenate([command[None], memory.queue[:-1]])
         arrived = queue[jnp.clip(params.delay, 0, max_delay).astype(jnp.int32)]
         tau = jnp.where(params.lag > 0, params.lag, jnp.ones_like(params.lag))
-        weight = jnp.where(params.lag > 0, 1 - jnp.exp(-dt / tau), jnp.ones_like(tau))
-        applied = memory.applied + weight * (arrived - memory.applied)
+        left = jnp.where(params.lag > 0, jnp.exp(-dt / tau), jnp.zeros_like(tau))
+        applied = arrived + left * (memory.applied - arrived)
         return command, applied, CurrentMemory(queue=queue, applied=applied)
 
     return Drive(name="current_drive", init=init, apply=apply, max_delay=max_delay)

@@ -1,5 +1,6 @@
 """A run from start to report: scan over ticks, flags for lost runs, resume, replay."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -45,7 +46,7 @@ def _simulate(
     loop: Loop, ticks: int, gains: Any, scenario: Scenario, path: Any, carry: Carry | None
 ) -> Run:
     carry = start(loop, gains, scenario, path) if carry is None else carry
-    carry, rows = _scan(loop, ticks, lambda c: _guarded(loop, gains, scenario, path, c), carry)
+    carry, rows = scan_ticks(loop, ticks, lambda c: advance(loop, gains, scenario, path, c), carry)
     return Run(report=report(loop, carry), rows=rows, final=carry)
 
 
@@ -73,11 +74,13 @@ def start(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> Carry:
     )
 
 
-def _scan(loop: Loop, ticks: int, advance: Any, carry: Carry) -> tuple[Carry, Any]:
-    """Scan ``advance``, in checkpointed segments if the loop asks for them."""
+def scan_ticks(
+    loop: Loop, ticks: int, step: Callable[[Carry], tuple[Carry, Any]], carry: Carry
+) -> tuple[Carry, Any]:
+    """Scan ``step`` over the ticks, in checkpointed segments if the loop asks for them."""
 
     def plain(carry: Carry, length: int) -> tuple[Carry, Any]:
-        return lax.scan(lambda c, _: advance(c), carry, None, length=length)
+        return lax.scan(lambda c, _: step(c), carry, None, length=length)
 
     if not loop.segment or loop.segment >= ticks:
         return plain(carry, ticks)
@@ -102,10 +105,10 @@ def _finite(tree: Any) -> Array:
         for leaf in jax.tree.leaves(tree)
         if jnp.issubdtype(leaf.dtype, jnp.inexact)
     ]
-    return jnp.all(jnp.stack(checks))
+    return jnp.all(jnp.stack(checks)) if checks else jnp.ones((), bool)
 
 
-def _guarded(
+def advance(
     loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry
 ) -> tuple[Carry, Any]:
     """One tick that a lost run passes unchanged.

@@ -7,13 +7,15 @@ import jax
 
 
 def configure(
-    precision: str = "double", cores: int | None = None, cache: str | Path | None = "default"
+    precision: str = "double", cores: int | None = None, cache: str | Path | None = None
 ) -> None:
     """Set precision, XLA devices and compilation cache for this process.
 
     precision: "double" (64 bit) or "single". cores: XLA host devices, one per core; None leaves
-    JAX's choice. cache: folder for compiled programs, "default" is
-    ``$XDG_CACHE_HOME/jaxstage``, None switches it off. Raises ValueError for a bad value,
+    JAX's choice. cache: folder that keeps compiled programs for the next start, "default" is
+    ``$XDG_CACHE_HOME/jaxstage``, None keeps none. (Where XLA then logs that a cached program was
+    built for another machine it compares tuning flags; ``TF_CPP_MIN_LOG_LEVEL=3`` in the
+    environment silences it, as the command line does.) Raises ValueError for a bad value,
     RuntimeError when JAX has already started with another number of devices.
     """
     if precision not in ("single", "double"):

@@ -1,5 +1,6 @@
 """What several test files share: the laws under test and a bench for one control period."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -150,24 +151,28 @@ SWITCHES = {
 
 
 def _switched() -> list[Entry]:
+    """The switches that the study does not use: the exact one is in its laws."""
     made = []
-    for name, (switch, params) in SWITCHES.items():
+    for name in ("smooth", "implicit"):
+        switch, params = SWITCHES[name]
         gains = replace(loops.sliding_gains(), switch=params, switching_gain=_pair(2.0, 3.0))
-        made.append(
-            Entry(f"sliding-{name}", lambda s=switch: per_axis(sliding(s)), gains, name == "smooth")
-        )
-        for kind, receptive, values in (
-            ("crisp", crisp, loops.cmac_gains()),
-            ("gaussian", gaussian, loops.dfcmac_gains()),
-        ):
+        make = functools.partial(_per_axis, sliding, switch)
+        made.append(Entry(f"sliding-{name}", make, gains, name == "smooth"))
+        for receptive, values in ((crisp, loops.cmac_gains()), (gaussian, loops.dfcmac_gains())):
+            make = functools.partial(_per_axis, cmac_sliding, receptive, switch)
             made.append(
-                Entry(
-                    f"cmac_sliding-{kind}-{name}",
-                    lambda r=receptive, s=switch: per_axis(cmac_sliding(r, s)),
-                    replace(values, switch=params),
-                )
+                Entry(f"cmac-{receptive.name}-{name}", make, replace(values, switch=params))
             )
     return made
+
+
+def _per_axis(maker: Callable[..., Controller], *arguments: Any) -> Controller:
+    return per_axis(maker(*arguments))
+
+
+def _published(law: loops.Law) -> Entry:
+    settled = law.name in ("pi", "cascade")
+    return Entry(law.name, functools.partial(per_axis, law.controller), law.gains(), settled)
 
 
 def _composed() -> list[Entry]:
@@ -201,14 +206,7 @@ def _composed() -> list[Entry]:
     ]
 
 
-ENTRIES = [
-    *(
-        Entry(law.name, lambda law=law: per_axis(law.controller), law.gains(), law.name in ("pi", "cascade"))
-        for law in loops.LAWS
-    ),
-    *_switched(),
-    *_composed(),
-]  # fmt: skip
+ENTRIES = [*map(_published, loops.LAWS), *_switched(), *_composed()]
 
 
 # --- a bench -------------------------------------------------------------------------------
@@ -253,6 +251,17 @@ def turning(radius: float = 0.025, period: float = 1.0, dt: float = DT):
 def _turning(params: Any, time: Array) -> Array:
     angle = params["rate"] * time
     return params["radius"] * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+@functools.cache
+def tracing(pick: Callable[[Any], Any]) -> Metric:
+    """A metric that stores ``pick(sample)`` of every tick, and nothing else."""
+    return Metric(
+        name="tracing",
+        init=lambda setpoint: (),
+        update=lambda acc, sample, dt: (acc, pick(sample)),
+        finish=lambda acc: None,
+    )
 
 
 def table_loop(controller: Controller, metric: Metric = tracking, **changes: Any):

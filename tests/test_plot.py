@@ -13,8 +13,8 @@ from jaxstage.metrics import record, together
 from jaxstage.plot.contour import magnification
 from jaxstage.plot.numbers import envelope, length_text, pixels, round_down, time_text
 from jaxstage.plot.pictures import save
+from jaxstage.plot.style import reversals
 from jaxstage.plot.weights import equal_cells
-from tuning.results import summary
 
 SHORT = js.Timing(lap_time=0.5, dt=1e-3)
 ALWAYS = {"contour.png", "axes.png", "error.png", "command.png"}
@@ -27,9 +27,9 @@ KINDS = {
 
 def simulated(name, timing):
     case = js.build(name, timing)
-    whole = replace(case.metric, name="whole")
-    run = js.with_metric(case, together(case.loop.metric, whole, record)).simulate()
-    return case, run, summary(case, run)
+    run = js.with_metric(case, together(case.loop.metric, record)).simulate()
+    flags = {name: int(getattr(run.final, name)) for name in ("left_path_at", "non_finite_at")}
+    return case, run, {name: tick if tick >= 0 else None for name, tick in flags.items()}
 
 
 def drawn_of(case, run, result, folder):
@@ -145,10 +145,16 @@ def test_drawn_error_over_factor_is_the_contour_error(shown):
 
 
 def test_reversals_of_a_circle(shown):
-    from jaxstage.plot.style import reversals
-
     assert reversals(shown, 0) == pytest.approx([5000, 7500], abs=1)
     assert reversals(shown, 1) == pytest.approx([6250, 8750], abs=1)
+
+
+def test_a_run_scored_as_a_whole_has_no_other_laps(shown):
+    whole = shown._replace(scored=(0, len(shown.time)), scored_text="whole run")
+    for draw in (plot.contour, plot.error):
+        words = texts(draw(whole))
+        assert "other laps" not in words and "whole run" in words
+        assert "other laps" in texts(draw(shown))
 
 
 def test_laws_without_memory_are_refused(shown):

@@ -1,6 +1,7 @@
 """The command line: ``jaxstage list``, ``jaxstage run LOOP``."""
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +20,8 @@ app = typer.Typer(
 
 def main() -> None:
     """Entry point. A wrong use prints one line on standard error and exits with status 2."""
+    # XLA logs an error for every cached program, over tuning flags that no machine lists
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     try:
         sys.exit(app(standalone_mode=False))
     except TyperException as error:
@@ -90,7 +93,7 @@ def run(
     from jaxstage.runtime import configure
     from tuning import runs
 
-    configure(precision=precision)
+    configure(precision=precision, cache="default")
     prepared = runs.prepare(loop, set_ or [], gains, scenario, duration)
     if out is not None:
         runs.check_folder(out)

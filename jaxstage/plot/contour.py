@@ -13,12 +13,13 @@ from jaxstage.plot.style import (
     SMALL,
     dress,
     figure,
-    legend,
 )
 from jaxstage.plot.view import View
 
 #: the largest error is drawn about this share of the size of the curve
 SHARE = 0.12
+#: inches above the panels: title, verdict and legend
+LEGEND = 1.15
 
 
 def magnification(view: View) -> float:
@@ -44,13 +45,20 @@ def contour(view: View) -> Figure:
     boxes = [_box(view, pair, path) for pair, (_, path) in zip(pairs, paths, strict=True)]
     tallest = max((high[1] - low[1]) / (high[0] - low[0]) for low, high in boxes)
     wide = 11.0 if len(pairs) == 1 else 5.5
-    drawn = figure(view, times, wide * len(pairs) + 1.0, 2.2 + wide * min(max(tallest, 0.5), 1.1))
+    drawn = figure(
+        view, times, wide * len(pairs) + 1.0, 2.4 + wide * min(max(tallest, 0.5), 1.1), LEGEND
+    )
     for index, pair in enumerate(pairs):
         ax = drawn.add_subplot(1, len(pairs), index + 1)
         ax.set_aspect("equal", adjustable="box")
         ax.set_xlim(boxes[index][0][0], boxes[index][1][0])
         ax.set_ylim(boxes[index][0][1], boxes[index][1][1])
         _panel(ax, view, pair, factor, *paths[index])
+    handles, names = drawn.axes[0].get_legend_handles_labels()
+    drawn.legend(
+        handles, names, loc="upper right", bbox_to_anchor=(1.0, 1 - 0.78 / drawn.get_figheight()),
+        ncols=len(names), fontsize=SMALL, frameon=False,
+    )  # fmt: skip
     return drawn
 
 
@@ -86,7 +94,7 @@ def _panel(
 ) -> None:
     plane = list(pair)
     curve = view.curve[:, plane] * 1e3
-    others = [lap for lap in view.laps if lap != view.scored and view.lost is None]
+    others = [lap for lap in view.laps if not view.is_scored(lap) and view.lost is None]
     for index, lap in enumerate(others):
         _, other = _magnified(view, slice(*lap), pair, factor)
         name = None if index else "other laps"
@@ -104,8 +112,6 @@ def _panel(
     _bars(ax, curve, factor)
     if view.lost is not None:
         ax.plot(*path[-1], "X", color=LOST, markersize=14, label="lost here", zorder=6)
-    if pair == (0, 1):
-        legend(ax)
 
 
 def _start(ax: Axes, view: View, plane: list[int]) -> None:

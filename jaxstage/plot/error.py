@@ -32,7 +32,7 @@ def error(view: View) -> Figure:
     factor, unit = (factor, unit) if view.lost is None else (1e6, "µm")
     line(upper, view.time, following * factor, OTHER, "|following error|", 2.2)
     line(upper, view.time, view.distance * factor, SCORED, "contour error", 1.4)
-    limit(upper, both[part], both, factor, unit)
+    limit(upper, np.append(both[part], 0.0), both, factor, unit)
     time_axis(upper, view, labelled=True)
     dress(upper, "time in s", f"error in {unit}")
     legend(upper)
@@ -54,17 +54,19 @@ def _upwards(ax: Axes, view: View) -> None:
 def _along(ax: Axes, view: View, factor: float, unit: str) -> None:
     """The laps over each other, the scored one on top, with the reversals of the axes."""
     part = view.scored_ticks()
-    others = [lap for lap in view.laps if lap != view.scored]
+    others = [lap for lap in view.laps if not view.is_scored(lap)]
+    judged = [lap for lap in view.laps if view.is_scored(lap)]
     named = "other laps" if view.lost is None else "until lost"
     for index, lap in enumerate(others):
         _lap(ax, view, slice(*lap), factor, OTHER, "" if index else named)
-    if view.scored in view.laps:
-        _lap(ax, view, part, factor, SCORED, f"scored: {view.scored_text}")
+    for index, lap in enumerate(judged):
+        name = "" if index else f"scored: {view.scored_text}"
+        _lap(ax, view, slice(*lap), factor, SCORED, name)
     for axis, colour in enumerate(axis_colours(view)):
         turns = reversals(view, axis)
         if len(turns) <= 12:
             mark(ax, view.arc[turns] * 1e3, colour, f"{view.axes[axis]} reverses")
-    limit(ax, view.distance[part], view.distance, factor, unit)
+    limit(ax, np.append(view.distance[part], 0.0), view.distance, factor, unit)
     ax.set_xlim(0, _lap_length(view) * 1e3)
     dress(ax, "arc length along the lap in mm", f"contour error in {unit}")
     legend(ax)

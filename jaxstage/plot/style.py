@@ -27,11 +27,14 @@ def axis_colours(view: View) -> list[str]:
     return list(islice(cycle(AXIS_COLOURS), len(view.axes)))
 
 
-def figure(view: View, title: str, width: float, height: float) -> Figure:
-    """An empty figure of width x height inches at 100 dpi with title, verdict and footer."""
+def figure(view: View, title: str, width: float, height: float, above: float = 0.95) -> Figure:
+    """An empty figure of width x height inches at 100 dpi with title, verdict and footer.
+
+    above: inches kept free of panels for title and verdict.
+    """
     drawn = Figure(figsize=(width, height), dpi=100, layout="constrained", facecolor="white")
     # inches from the borders, so that they do not depend on the height
-    top, bottom = 0.95 / height, 0.42 / height
+    top, bottom = above / height, 0.42 / height
     engine = drawn.get_layout_engine()
     assert engine is not None
     engine.set(rect=(0.005, bottom, 0.99, 1 - top - bottom), h_pad=0.06, w_pad=0.08)  # type: ignore[call-arg]

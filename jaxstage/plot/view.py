@@ -55,6 +55,10 @@ class View(NamedTuple):
         """The ticks to judge by: the scored ones, or all there are if none was reached."""
         return slice(*self.scored) if self.scored[1] > self.scored[0] else slice(None)
 
+    def is_scored(self, lap: tuple[int, int]) -> bool:
+        """True for one of ``laps`` that lies in the scored part."""
+        return self.scored[0] <= lap[0] and lap[1] <= self.scored[1]
+
 
 def view(case: Case, report: Any, rows: Sample, because: str = "the run was lost") -> View:
     """What the pictures draw.

@@ -136,7 +136,7 @@ def points(curve: Nurbs, u: ArrayLike) -> np.ndarray:
     return in_span(curve, span_of(curve, u), u)[0]
 
 
-def span_of(curve: Nurbs, u: Any, slack: float = 0.0) -> Any:
+def span_of(curve: Nurbs, u: Any, slack: Any = 0.0) -> Any:
     """Index i of the span with u_i <= u + slack < u_i+1, int32 (...), numpy or JAX as u is.
 
     u: (...). slack: in units of u; a few roundings, so that k/n lands on the knot it means.

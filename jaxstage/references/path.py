@@ -5,6 +5,9 @@ commanded arc length within a window around the commanded point. It is found by 
 smooth pieces that the window touches (see `segments`).
 """
 
+# pyright: reportArgumentType=false
+# (numpy leaves on the host, JAX arrays once cast)
+
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -6,6 +6,9 @@ jump > 1e-6 rad at a knot, closure included). Each tick knows its seat: the segm
 the range of the window on its piece; near a corner also on the other pieces in the window.
 """
 
+# pyright: reportArgumentType=false
+# (numpy leaves on the host, JAX arrays once cast)
+
 import jax
 import numpy as np
 from jax import Array
@@ -77,7 +80,7 @@ def _hermite(
     true = in_span(curve, *parameter_at(curve, table, (arc[:, None] + h * f).ravel()))[0]
     made = np.einsum("fk,skd->sfd", f[:, None] ** np.arange(4), cubic)
     error = np.linalg.norm(made.reshape(true.shape) - true, axis=-1).max()
-    made = Segments(cubic=cubic, arc=arc, length=np.full(count, h))  # type: ignore[arg-type]
+    made = Segments(cubic=cubic, arc=arc, length=np.full(count, h))
     return made, float(error)
 
 

@@ -1,0 +1,173 @@
+"""Many runs at once: lanes on the last axis, in tiles that stay in the cache, on every device.
+
+`rollouts` gives what ``jax.vmap(simulate)`` gives. Inside the scan the batch is the LAST axis of
+every array; tiles of lanes run one after the other, and the tiles are spread over the XLA devices
+(one per core, see `runtime.configure`). Leaves that are not batched are shared, never copied.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.sharding import Mesh, PartitionSpec
+
+from jaxstage.blocks import Loop
+from jaxstage.check import SHARED, check
+from jaxstage.fields import replace
+from jaxstage.rollout import advance, report, scan_ticks, start
+from jaxstage.signals import Carry, Run, Scenario
+from jaxstage.tiles import remembered_tile
+
+#: the tick counter is the same for all lanes, so that the path is looked up once
+_LANES = Carry(
+    state=-1, drive=-1, sensor=-1, memory=-1, metric=-1,
+    step=None, left_path_at=-1, non_finite_at=-1,
+)  # type: ignore[arg-type]  # fmt: skip
+
+
+def rollouts(
+    loop: Loop,
+    gains: Any,
+    scenario: Scenario,
+    path: Any,
+    ticks: int,
+    in_axes: Any = (0, None, None),
+    tile: int | None = None,
+    devices: int | None = None,
+    memory: float = 2e9,
+) -> Run:
+    """Simulate many runs; every leaf of the result has the batch as its leading axis.
+
+    in_axes: (gains, scenario, path), each 0, None or a tree of these down to any depth, as for
+    ``jax.vmap``: 0 where leaves have a leading batch axis. tile: lanes that run together; None
+    measures it once per loop and machine and remembers it. devices: how many XLA devices share
+    the tiles; None takes all. memory: budget in bytes for the results, so that recording many
+    long runs is refused rather than swapped. Tile and devices do not change a result; a lost run
+    is flagged in its own lane and changes nothing in the others.
+
+    Raises ValueError for bad input, naming the value and the run; for batches of different size;
+    for tile, devices or ticks < 1; for results beyond the memory budget.
+    """
+    if ticks < 1:
+        raise ValueError(f"ticks must be >= 1, got {ticks}")
+    axes = spread_axes(in_axes, (gains, scenario, path))
+    gains, scenario, path = check(loop, gains, scenario, path, axes)
+    leaves, structure = jax.tree.flatten((gains, scenario, path))
+    batched = tuple(a != SHARED for a in jax.tree.leaves(axes))
+    lanes = count_lanes(leaves, batched)
+    available = jax.local_device_count()
+    devices = min(available, lanes) if devices is None else devices
+    if not 1 <= devices <= available:
+        raise ValueError(f"devices = {devices}: must be 1..{available}")
+    if tile is None:
+        one = partial(run_tile, loop, structure=structure, batched=batched)
+        tile = remembered_tile(one, leaves, batched, lanes)
+    if tile < 1:
+        raise ValueError(f"tile = {tile}: must be >= 1")
+    tile = min(tile, -(-lanes // devices))
+    _check_memory(loop, ticks, structure, batched, leaves, lanes, memory)
+    return _rollouts(loop, ticks, tile, devices, structure, batched, leaves)
+
+
+def spread_axes(in_axes: Any, trees: Any) -> Any:
+    """The tree of batch axes, one a leaf: 0 or `SHARED`, from a prefix with 0 or None."""
+    prefix = jax.tree.map(
+        lambda a: SHARED if a is None else a, in_axes, is_leaf=lambda a: a is None
+    )
+    axes = jax.tree.broadcast(prefix, trees)
+    wrong = {a for a in jax.tree.leaves(axes) if a not in (0, SHARED)}
+    if wrong:
+        raise ValueError(f"in_axes holds {sorted(wrong)}: must be 0 or None")
+    return axes
+
+
+def count_lanes(leaves: list[Array], batched: tuple[bool, ...]) -> int:
+    """The size of the batch. Raises ValueError when leaves disagree or none is batched."""
+    sizes = {np.shape(x)[:1] for x, b in zip(leaves, batched, strict=True) if b}
+    if len(sizes) != 1 or () in sizes:
+        found = sorted(s[0] if s else 0 for s in sizes)
+        raise ValueError(f"batched leaves need one common leading size, got {found or 'none'}")
+    return sizes.pop()[0]
+
+
+def run_tile(
+    loop: Loop, ticks: int, leaves: list[Array], structure: Any, batched: tuple[bool, ...]
+) -> Run:
+    """One tile of lanes, batch leading at the border and last inside the scan."""
+    inputs = [jnp.moveaxis(x, 0, -1) if b else x for x, b in zip(leaves, batched, strict=True)]
+    last = [-1 if b else None for b in batched]
+
+    def begin(*values: Array) -> Carry:
+        return start(loop, *jax.tree.unflatten(structure, values))
+
+    def step(carry: Carry, *values: Array) -> tuple[Carry, Any]:
+        return advance(loop, *jax.tree.unflatten(structure, values), carry)
+
+    every = jax.vmap(step, in_axes=(_LANES, *last), out_axes=(_LANES, -1))
+    carry = jax.vmap(begin, in_axes=last, out_axes=_LANES)(*inputs)
+    carry, rows = scan_ticks(loop, ticks, lambda c: every(c, *inputs), carry)
+    finish = jax.vmap(lambda c: report(loop, c), in_axes=(_LANES,), out_axes=0)
+    lanes = carry.left_path_at.shape[-1]
+    steps = jnp.broadcast_to(carry.step, (lanes,))
+    leading = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (replace(carry, step=steps), rows))
+    return Run(report=finish(carry), rows=leading[1], final=leading[0])
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3, 4, 5))
+def _rollouts(
+    loop: Loop,
+    ticks: int,
+    tile: int,
+    devices: int,
+    structure: Any,
+    batched: tuple[bool, ...],
+    leaves: list[Array],
+) -> Run:
+    lanes = count_lanes(leaves, batched)
+    tiles = -(-lanes // (tile * devices)) * devices
+    # lanes that only fill the last tile repeat the last run
+    index = jnp.minimum(jnp.arange(tiles * tile), lanes - 1)
+    moving = [x[index].reshape(tiles, tile, *x.shape[1:]) for x, b in zip(leaves, batched) if b]  # noqa: B905
+    shared = [x for x, b in zip(leaves, batched, strict=True) if not b]
+
+    def all_tiles(moving: list[Array], shared: list[Array]) -> Run:
+        def one(values: list[Array]) -> Run:
+            own, common = iter(values), iter(shared)
+            merged = [next(own) if b else next(common) for b in batched]
+            return run_tile(loop, ticks, merged, structure, batched)
+
+        return lax.map(one, moving)
+
+    # on one device too: the same program, so the same bits, whatever the number of devices
+    mesh = Mesh(np.array(jax.local_devices()[:devices]), ("tiles",))
+    along, everywhere = PartitionSpec("tiles"), PartitionSpec()
+    spread = jax.shard_map(
+        all_tiles, mesh=mesh, in_specs=(along, everywhere), out_specs=along, check_vma=False
+    )
+    result = spread(moving, shared)
+    return jax.tree.map(lambda x: x.reshape(tiles * tile, *x.shape[2:])[:lanes], result)
+
+
+def _check_memory(
+    loop: Loop,
+    ticks: int,
+    structure: Any,
+    batched: tuple[bool, ...],
+    leaves: list[Array],
+    lanes: int,
+    memory: float,
+) -> None:
+    one = [
+        jax.ShapeDtypeStruct((1, *x.shape[1:]) if b else x.shape, x.dtype)
+        for x, b in zip(leaves, batched, strict=True)
+    ]
+    shapes = jax.eval_shape(lambda v: run_tile(loop, ticks, v, structure, batched), one)
+    needed = lanes * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
+    if needed > memory:
+        raise ValueError(
+            f"{lanes} runs of {ticks} ticks would return {needed / 1e9:.3g} GB, more than the "
+            f"budget of {memory / 1e9:.3g} GB: record fewer runs, or raise memory"
+        )
