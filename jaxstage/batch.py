@@ -22,10 +22,12 @@ from jaxstage.signals import Carry, Run, Scenario
 from jaxstage.tiles import remembered_tile
 
 #: the tick counter is the same for all lanes, so that the path is looked up once
-_LANES = Carry(
-    state=-1, drive=-1, sensor=-1, memory=-1, metric=-1,
-    step=None, left_path_at=-1, non_finite_at=-1,
-)  # type: ignore[arg-type]  # fmt: skip
+_LANES: Any = Carry(
+    **dict.fromkeys(
+        ("state", "drive", "sensor", "memory", "metric", "left_path_at", "non_finite_at"), -1
+    ),
+    step=None,
+)
 
 
 def rollouts(
@@ -106,7 +108,7 @@ def run_tile(
     def step(carry: Carry, *values: Array) -> tuple[Carry, Any]:
         return advance(loop, *jax.tree.unflatten(structure, values), carry)
 
-    every = jax.vmap(step, in_axes=(_LANES, *last), out_axes=(_LANES, -1))
+    every: Any = jax.vmap(step, in_axes=(_LANES, *last), out_axes=(_LANES, -1))
     carry = jax.vmap(begin, in_axes=last, out_axes=_LANES)(*inputs)
     carry, rows = scan_ticks(loop, ticks, lambda c: every(c, *inputs), carry)
     finish = jax.vmap(lambda c: report(loop, c), in_axes=(_LANES,), out_axes=0)

@@ -46,7 +46,7 @@ class Plant:
 class Controller:
     """A law. ``control`` runs once a period; then ``settle`` hears the TOTAL demand of all laws
     and the command that the drive's limits left of it (observers use the command, anti-windup
-    the difference)."""
+    the difference). What ``settle`` needs of the measurement, ``control`` keeps in the memory."""
 
     name: str
     init: Callable[[Gains, Setpoint, Measurement], Memory]

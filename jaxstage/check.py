@@ -5,11 +5,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxstage.blocks import Loop
 from jaxstage.fields import Quantity, leaves
 from jaxstage.signals import Scenario
-
 
 #: in a tree of batch axes: a leaf that all runs share
 SHARED = -1
@@ -96,14 +96,14 @@ def check_leaves(
     for path, quantity, value in leaves(tree, root):
         shape = np.shape(value)[1:] if batched[path] else np.shape(value)
         _check_shape(path, quantity, shape, axes, per_axis)
-        if isinstance(value, jax.core.Tracer):
+        if isinstance(value, Tracer):
             continue
         array = np.asarray(value)
         bad = _out_of_range(quantity, array)
         allowed = quantity.range_text()
         if quantity.at_least and not bad.any():
             other = values[path.rsplit(".", 1)[0] + "." + quantity.at_least]
-            if not isinstance(other, jax.core.Tracer):
+            if not isinstance(other, Tracer):
                 bad = array < np.asarray(other)
                 allowed = f">= {quantity.at_least}"
         if bad.any():
@@ -151,10 +151,15 @@ def _message(
 
 def _check_delay(loop: Loop, scenario: Scenario) -> None:
     delay = getattr(scenario.drive, "delay", None)
-    if delay is None or isinstance(delay, jax.core.Tracer):
+    if delay is None or isinstance(delay, Tracer):
         return
-    if float(np.max(np.asarray(delay))) > loop.drive.max_delay:
+    largest = float(np.max(np.asarray(delay)))
+    if largest > loop.drive.max_delay:
         raise ValueError(
-            f"drive.delay = {float(np.max(np.asarray(delay))):g} periods: "
+            f"drive.delay = {largest:g} periods: "
             f"must be <= {loop.drive.max_delay}, the max_delay of the loop's drive"
         )
+    broken = np.asarray(delay) % 1 != 0
+    if broken.any():
+        value = np.asarray(delay)[broken].flat[0]
+        raise ValueError(f"drive.delay = {value:g} periods: must be a whole number")

@@ -23,8 +23,9 @@ def _ideal_apply(
 class CurrentDrive:
     """Parameters of `current_drive`."""
 
-    limit: Array = param("1", "u_max", "largest command, in its unit", shape="(axes,)", above=0.0,
-        infinite=True)
+    limit: Array = param(
+        "1", "u_max", "largest command, in its unit", shape="(axes,)", above=0.0, infinite=True
+    )
     delay: Array = param("1", "d", "dead time in whole control periods", low=0.0)
     lag: Array = param("s", "tau", "time constant of the current loop", low=0.0)
 

@@ -35,7 +35,8 @@ class Quantity:
     """What is always true of a field: role, unit, symbol, allowed range, shape, meaning.
 
     low, high: inclusive bounds; above: exclusive lower bound; at_least: name of a sibling field
-    that this one may not fall below; infinite: inf is a valid value; shown: the display unit, when it is not the SI unit.
+    that this one may not fall below; infinite: inf is a valid value; shown: the display unit,
+    when it is not the SI unit.
     """
 
     role: str
@@ -61,7 +62,8 @@ class Quantity:
         parts = [f"> {self.above:g}{unit}"] if self.above > -math.inf else []
         parts += [f">= {self.low:g}{unit}"] if self.low > -math.inf else []
         parts += [f"<= {self.high:g}{unit}"] if self.high < math.inf else []
-        return " and ".join(parts) or "finite"
+        parts = parts if self.infinite else ["finite", *parts]
+        return " and ".join(parts)
 
 
 def _quantity(role: str) -> Callable[..., Any]:
@@ -123,9 +125,7 @@ def replace(obj: T, **changes: Any) -> T:
 def quantities(cls: Any) -> dict[str, Quantity]:
     """The fields of a pytree class (or instance) that carry a unit."""
     return {
-        f.name: f.metadata["quantity"]
-        for f in dataclasses.fields(cls)
-        if "quantity" in f.metadata
+        f.name: f.metadata["quantity"] for f in dataclasses.fields(cls) if "quantity" in f.metadata
     }
 
 

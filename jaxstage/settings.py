@@ -30,8 +30,8 @@ def resolve(
 ) -> str:
     """The full path of a setting named by path, unique suffix, or symbol in place of its field.
 
-    other_names: what else the user may have meant, for the hint. Raises ValueError for an unknown name, with the nearest known one, and for an ambiguous one,
-    with all it may mean.
+    other_names: what else the user may have meant, for the hint. Raises ValueError for an
+    unknown name, with the nearest known one, and for an ambiguous one, with all it may mean.
     """
     if name in known:
         return name
@@ -45,7 +45,9 @@ def resolve(
         return matches[0]
     if matches:
         raise ValueError(f"'{name}' may mean {', '.join(matches)}: write it in full")
-    raise ValueError(f"unknown setting '{name}'{nearest_name(name, [*other_names, *_spellings(known)])}")
+    raise ValueError(
+        f"unknown setting '{name}'{nearest_name(name, [*other_names, *_spellings(known)])}"
+    )
 
 
 def _spellings(known: Mapping[str, tuple[Quantity, Any]]) -> list[str]:
@@ -79,20 +81,24 @@ def apply(
         known = known_leaves(gains, scenario)
         path = resolve(name, known, other_names)
         filled = _fill(path, value, known[path][1])
-        root, _, rest = path.partition(".")
-        if root == "gains":
-            gains = _replaced(gains, rest.split("."), filled)
-        else:
-            part = _replaced(getattr(scenario, root), rest.split("."), filled)
-            scenario = replace(scenario, **{root: part})
+        gains, scenario = replaced(gains, scenario, path, filled)
         paths.append(path)
     return gains, scenario, tuple(paths)
+
+
+def replaced(gains: Any, scenario: Scenario, path: str, value: Any) -> tuple[Any, Scenario]:
+    """Gains and scenario with the leaf at a full path replaced."""
+    root, _, rest = path.partition(".")
+    if root == "gains":
+        return _replaced(gains, rest.split("."), value), scenario
+    part = _replaced(getattr(scenario, root), rest.split("."), value)
+    return gains, replace(scenario, **{root: part})
 
 
 def _fill(path: str, value: Any, old: Any) -> Any:
     try:
         array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{path} = {value}: must be a number, or one number per axis") from None
     shape = np.shape(old)
     if array.ndim == 1 and len(shape) > 1 and array.shape[0] == shape[0]:
@@ -130,13 +136,16 @@ def read_toml(file: Path) -> dict[str, Any]:
 
     Raises ValueError, one line with file and line number, when it cannot be read.
     """
+    text = ""
     try:
         text = file.read_text(encoding="utf-8")
         return _flat(tomllib.loads(text), "")
     except FileNotFoundError:
         raise ValueError(f"{file}: no such file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise ValueError(f"{file}: {error}") from None
+        end = f"at the end, line {len(text.splitlines())}"
+        message = str(error).replace("at end of document", end)
+        raise ValueError(f"{file}: {message}") from None
 
 
 def _flat(table: Mapping[str, Any], prefix: str) -> dict[str, Any]:

@@ -11,9 +11,7 @@ from jaxstage.fields import replace
 from jaxstage.signals import Carry, Output, Power, Sample, Scenario
 
 
-def tick(
-    loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry
-) -> tuple[Carry, Any]:
+def tick(loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry) -> tuple[Carry, Any]:
     """Advance one run by one control period.
 
     The controller is called exactly once and its command held over the substeps; sampling

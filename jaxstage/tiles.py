@@ -12,6 +12,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.core import Tracer
+
+from jaxstage.runtime import cache_folder
 
 CANDIDATES = (32, 128, 512)
 TICKS = 200
@@ -32,7 +35,7 @@ def remembered_tile(
     """
     if lanes <= CANDIDATES[0]:
         return lanes
-    if any(isinstance(x, jax.core.Tracer) for x in leaves):
+    if any(isinstance(x, Tracer) for x in leaves):
         return DEFAULT
     key = _key(run, _lanes(leaves, batched, 2))
     known = _read()
@@ -76,7 +79,7 @@ def _key(run: Callable[[int, list[Array]], Any], leaves: list[Array]) -> str:
 
 
 def _file() -> Path | None:
-    folder = jax.config.jax_compilation_cache_dir
+    folder = cache_folder()
     return Path(folder) / "tiles.json" if folder else None
 
 

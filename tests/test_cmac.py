@@ -55,7 +55,12 @@ def test_association_matrix():
     assert matrix.shape == (81, 36)
     np.testing.assert_array_equal(matrix.sum(axis=1), LAYERS)
     assert np.linalg.matrix_rank(matrix) == 33
-    assert list(np.flatnonzero(matrix[9 * 2 + 2]) + 1) == [5, 14, 19, 28]  # the paper's state (3, 3)
+    assert list(np.flatnonzero(matrix[9 * 2 + 2]) + 1) == [
+        5,
+        14,
+        19,
+        28,
+    ]  # the paper's state (3, 3)
     assert np.flatnonzero(matrix[9 * 0 + 1])[0] + 1 == 2  # state (1, 2) begins with hypercube 2
 
 

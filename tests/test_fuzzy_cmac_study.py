@@ -75,9 +75,7 @@ def normative(name, contour_name):
     case = js.build(f"{name}-{contour_name}")
     n = case.window.ticks // 2
     both = together(tracking, contour)
-    metric = together(
-        windowed(both, 0, n, name="first"), windowed(both, n, 2 * n, name="second")
-    )
+    metric = together(windowed(both, 0, n, name="first"), windowed(both, n, 2 * n, name="second"))
     return run(js.with_metric(case, metric)).report
 
 
@@ -239,9 +237,7 @@ def test_cmac_is_pi_on_the_circle():
     relay = np.abs(np.asarray(rows.command) + 2 * 10.0 * b * integral)
     assert relay.max() <= 0.01 / b.min() * (1 + 1e-6) < 31.3e-6
     report = run(js.build("pi-circle")).report["tracking"]
-    np.testing.assert_allclose(
-        [report.ate * UM, report.tesd * UM], [37.1137, 13.6822], atol=DIGIT
-    )
+    np.testing.assert_allclose([report.ate * UM, report.tesd * UM], [37.1137, 13.6822], atol=DIGIT)
 
 
 def lost(run_):

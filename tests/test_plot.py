@@ -10,8 +10,9 @@ import jaxstage as js
 from jaxstage import plot
 from jaxstage.fields import replace
 from jaxstage.metrics import record, together
+from jaxstage.metrics.words import length_text, time_text
 from jaxstage.plot.contour import magnification
-from jaxstage.plot.numbers import envelope, length_text, pixels, round_down, time_text
+from jaxstage.plot.numbers import envelope, pixels, round_down
 from jaxstage.plot.pictures import save
 from jaxstage.plot.style import reversals
 from jaxstage.plot.weights import equal_cells

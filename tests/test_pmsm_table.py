@@ -67,7 +67,9 @@ def test_one_second():
 def test_sticks_exactly_until_break_away():
     assert steps(at(), 0.3541, 50)[-1].velocity[0] == 0.0
     assert steps(at(), 0.3541, 50)[-1].position[0] == 0.0
-    np.testing.assert_allclose(steps(at(), 0.3542, 1)[0].velocity[0], 1.063122923589e-06, atol=5e-19)
+    np.testing.assert_allclose(
+        steps(at(), 0.3542, 1)[0].velocity[0], 1.063122923589e-06, atol=5e-19
+    )
 
 
 def test_comes_to_rest_and_stays():
@@ -151,3 +153,17 @@ def test_copper_and_drawn_power():
     fast = at(velocity=3.0)
     after = PLANT.step(PARAMS, fast, braking, no_force, H)
     assert (PLANT.power(PARAMS, fast, after, braking, no_force, H).drawn == 0).all()
+
+
+def test_no_backlash_and_no_friction_are_transparent_to_a_gradient():
+    """Also exactly at rest with no command, where clip would share the tie between branches."""
+    zero = jnp.asarray(0.0)
+    assert jax.grad(lambda u: play(zero, u, zero))(0.0) == 1.0
+    params = replace(PARAMS, static=jnp.zeros(2), coulomb=jnp.zeros(2), load=jnp.zeros(2))
+
+    def speed(current):
+        applied = jnp.full(2, current)
+        return PLANT.step(params, at(), applied, no_force, H).velocity[0]
+
+    slope = (speed(1e-3) - speed(-1e-3)) / 2e-3
+    np.testing.assert_allclose(jax.grad(speed)(0.0), slope, rtol=1e-9)

@@ -29,7 +29,10 @@ LAYERS = (
     ("numerics",),
     ("plants", "references", "controllers", "loads", "sensors", "drives", "metrics", "settings"),
     ("check", "tick"),
+    ("engine",),
     ("rollout",),
+    ("tiles", "gradients"),
+    ("batch",),
     ("studies",),
     ("plot",),
     ("tuning",),
@@ -69,6 +72,8 @@ each_file = pytest.mark.parametrize("file", FILES, ids=module)
 
 def wrong_way(name: str, used: str) -> bool:
     """True when a module of one part may not import another."""
+    while block(used) not in RANK and "." in used:  # an attribute: its module counts
+        used = used.rpartition(".")[0]
     own, other = block(name), block(used)
     if used.split(".")[0] not in ("jaxstage", "tuning") or own == other:
         return False
@@ -79,7 +84,8 @@ def wrong_way(name: str, used: str) -> bool:
 
 @pytest.mark.fast
 def test_every_module_has_a_layer():
-    assert {block(name) for name in USED} - {"jaxstage"} == set(RANK)
+    unknown = {block(name) for name in USED} - {"jaxstage"} - set(RANK)
+    assert not unknown, "give it a place in LAYERS"
 
 
 @pytest.mark.fast
@@ -89,7 +95,7 @@ def test_imports_go_one_way():
         for name, every in USED.items()
         if name != "jaxstage"
         for used in every
-        if wrong_way(name, used) and used != "jaxstage.__version__"
+        if wrong_way(name, used)
     ]
     assert not wrong, wrong
 
@@ -202,7 +208,7 @@ def is_unit(text: str) -> bool:
     factors = [
         re.sub(r"\d+$", "", f) if f != "1" else f for f in (top + " " + " ".join(below)).split()
     ]
-    return len(below) <= 1 and all(f in UNITS for f in factors)
+    return bool(text) and len(below) <= 1 and all(f in UNITS for f in factors)
 
 
 @pytest.mark.fast

@@ -29,7 +29,7 @@ def main() -> None:
         _fail(message)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         _fail(str(error))
 
 
@@ -84,6 +84,9 @@ def run(
         float | None, typer.Option(help="Length of the run in s, in place of laps.")
     ] = None,
     precision: Annotated[str, typer.Option(help="double or single.")] = "double",
+    force: Annotated[
+        bool, typer.Option("--force", help="Single precision also where it is off by over 1 %.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     out: Annotated[
         Path | None, typer.Option(help="Folder for pictures, run.json, gains.toml, scenario.toml.")
@@ -94,11 +97,55 @@ def run(
     from tuning import runs
 
     configure(precision=precision, cache="default")
+    if precision == "single" and not force:
+        runs.refuse_rough(loop)
     prepared = runs.prepare(loop, set_ or [], gains, scenario, duration)
     if out is not None:
         runs.check_folder(out)
     result = runs.execute(prepared, out)
     _print_result(prepared.summary, result, as_json, out)
+
+
+@app.command()
+def doctor(
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    precision: Annotated[str, typer.Option(help="double or single.")] = "double",
+) -> None:
+    """What this machine gives: devices, cores, precision, cache, a one-second speed test."""
+    from jaxstage.runtime import configure, cpu_cores
+
+    configure(precision=precision, cores=cpu_cores(), cache="default")
+    from tuning.doctor import examine
+
+    found = examine()
+    if as_json:
+        print(json.dumps(found, indent=2, allow_nan=False))
+        return
+    for name, value in found.items():
+        text = f"{value:.3g}" if isinstance(value, float) else value
+        print(f"{name:18s}{', '.join(value) if isinstance(value, list) else text}")
+
+
+@app.command()
+def precision(
+    loops: Annotated[
+        list[str] | None, typer.Argument(help="Loops to compare; all if left out.")
+    ] = None,
+) -> None:
+    """Single against double precision: relative difference of the headline figures, as TOML."""
+    import tomli_w
+
+    from jaxstage.runtime import configure
+    from jaxstage.studies import build, loop_names
+    from jaxstage.studies.precision import compare_precision
+    from tuning.runs import find
+
+    configure(precision="double", cache="default")
+    for name in loops or []:
+        find(name)
+    for name in loops or loop_names():
+        table = {k: float(f"{v:.2e}") for k, v in compare_precision(build(name)).items()}
+        print(tomli_w.dumps({name: table}), flush=True)
 
 
 def _print_result(title: str, result: dict[str, Any], as_json: bool, out: Path | None) -> None:

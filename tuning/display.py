@@ -8,21 +8,6 @@ from rich.table import Table
 from jaxstage.metrics.table import split_key
 
 
-def verdict(result: dict[str, Any]) -> str:
-    """One line: is the run good for anything, and how far off the contour."""
-    dt = result["dt_s"]
-    if result["left_path_at"] is not None:
-        tick = result["left_path_at"]
-        return f"LOST: the tool left the path at tick {tick} (t = {tick * dt:.4g} s); no figures"
-    if result["non_finite_at"] is not None:
-        tick = result["non_finite_at"]
-        return f"LOST: not finite at tick {tick} (t = {tick * dt:.4g} s); no figures"
-    m = result["metrics"]
-    return (
-        f"on path; contour error {m['contour_rms_um']:.4g} um RMS, {m['contour_max_um']:.4g} um max"
-    )
-
-
 def scored_text(result: dict[str, Any]) -> str:
     """What the figures cover."""
     if result["scored"] == 0:
@@ -34,7 +19,7 @@ def show(title: str, result: dict[str, Any]) -> None:
     """Print verdict and figures: per axis where they exist, scored window and whole run."""
     console = Console(highlight=False)
     console.print(f"[bold]{result['loop']}[/bold]  {title}")
-    console.print(verdict(result))
+    console.print(result["verdict"])
     console.print(
         f"{result['duration_s']:g} s, {result['laps']:g} laps of {result['lap_time_s']:g} s, "
         f"control period {result['dt_s'] * 1e6:g} us, {result['precision']} precision"

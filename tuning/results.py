@@ -12,6 +12,7 @@ from jaxstage.metrics import columns
 from jaxstage.settings import SCENARIO_PARTS, to_toml
 from jaxstage.signals import Run
 from jaxstage.studies import Case
+from jaxstage.studies.verdict import lost_because, verdict
 
 
 def _tick(value: Any) -> int | None:
@@ -23,6 +24,8 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
     axes = case.loop.plant.axes
     left, broken = _tick(run.final.left_path_at), _tick(run.final.non_finite_at)
     double = case.path.setpoint.position.dtype == "float64"
+    scored = columns(run.report["scored"], axes)
+    lost = broken if left is None else left
     return {
         "loop": case.name,
         "version": __version__,
@@ -32,10 +35,11 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
         "lap_time_s": float(case.path.lap_time),
         "laps": case.window.laps,
         "scored": case.window.scored,
+        "verdict": verdict(case, scored, lost, lost_because(case, left)),
         "finite": left is None and broken is None,
         "left_path_at": left,
         "non_finite_at": broken,
-        "metrics": columns(run.report["scored"], axes),
+        "metrics": scored,
         "metrics_whole_run": columns(run.report["whole"], axes),
         "notes": list(notes),
     }

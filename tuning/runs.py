@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 
 from jaxstage import settings
 from jaxstage.check import check
 from jaxstage.fields import replace
 from jaxstage.metrics import record, together
 from jaxstage.studies import Case, NamedLoop, Timing, studies, with_metric
+from jaxstage.studies.precision import LARGEST, stored_precision, worst
 from tuning.results import summary, write_settings
 
 #: settings that belong to the timing, with their types
@@ -38,6 +40,20 @@ def find(name: str) -> NamedLoop:
     return entries[name]
 
 
+def refuse_rough(name: str) -> None:
+    """Raise ValueError for a loop whose figures are off by over 1 % in single precision."""
+    find(name)
+    for study in studies:
+        table = stored_precision(study.name)
+        if name in table:
+            figure, difference = worst(table[name])
+            if difference > LARGEST:
+                raise ValueError(
+                    f"--precision single: {figure} of {name} is off by {difference:.1%} "
+                    f"(limit {LARGEST:.0%}, `jaxstage precision` measures it); --force runs it"
+                )
+
+
 def prepare(
     loop: str,
     words: list[str],
@@ -52,7 +68,7 @@ def prepare(
     entry = find(loop)
     given = dict(_word(word) for word in words)
     timing = _timing({k: v for k, v in given.items() if k in TIMING}, duration)
-    case = entry.build(timing)
+    published = case = entry.build(timing)
     changed: tuple[str, ...] = ()
     for file, roots in ((gains_file, ("gains",)), (scenario_file, settings.SCENARIO_PARTS)):
         if file is not None:
@@ -62,7 +78,7 @@ def prepare(
     case, paths = _applied(case, values, tuple(TIMING))
     changed += paths
     check(case.loop, case.gains, case.scenario, case.path)
-    return Prepared(case, entry.summary, _notes(case, changed))
+    return Prepared(case, entry.summary, _notes(published, case, changed))
 
 
 def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
@@ -110,7 +126,9 @@ def _numbers(name: str, text: str) -> list[float]:
 def _timing(words: Mapping[str, str], duration: float | None) -> Timing:
     values: dict[str, Any] = {}
     for name, text in words.items():
-        (number,) = _numbers(name, text)[:1]
+        number, *more = _numbers(name, text)
+        if more:
+            raise ValueError(f"--set {name}={text}: must be one number")
         if TIMING[name] is int:
             if not math.isfinite(number) or number != int(number):
                 raise ValueError(f"--set {name}={text}: must be a whole number")
@@ -122,9 +140,8 @@ def _timing(words: Mapping[str, str], duration: float | None) -> Timing:
 def _from_file(case: Case, file: Path, roots: tuple[str, ...]) -> tuple[Case, tuple[str, ...]]:
     values = settings.read_toml(file)
     if "seed" in values and "plant" in roots:
-        case = case._replace(
-            scenario=replace(case.scenario, key=jax.random.key(int(values.pop("seed"))))
-        )
+        key = _key(file, values.pop("seed"))
+        case = case._replace(scenario=replace(case.scenario, key=key))
     changed: tuple[str, ...] = ()
     for name, value in values.items():
         try:
@@ -138,6 +155,13 @@ def _from_file(case: Case, file: Path, roots: tuple[str, ...]) -> tuple[Case, tu
     return case, changed
 
 
+def _key(file: Path, seed: Any) -> jax.Array:
+    if type(seed) is not int or not 0 <= seed < 2**32:
+        line = settings.line_of(file, "seed")
+        raise ValueError(f"{file}:{line}: seed = {seed}: must be a whole number 0..{2**32 - 1}")
+    return jax.random.key(seed)
+
+
 def _applied(
     case: Case, values: Mapping[str, Any], other_names: tuple[str, ...] = ()
 ) -> tuple[Case, tuple[str, ...]]:
@@ -145,14 +169,16 @@ def _applied(
     return case._replace(gains=gains, scenario=scenario), paths
 
 
-def _notes(case: Case, changed: tuple[str, ...]) -> tuple[str, ...]:
+def _notes(published: Case, case: Case, paths: tuple[str, ...]) -> tuple[str, ...]:
     """Say which assumptions of the controller a changed plant value did not move."""
+    before = settings.known_leaves(published.gains, published.scenario)
     known = settings.known_leaves(case.gains, case.scenario)
+    changed = [p for p in dict.fromkeys(paths) if not np.array_equal(before[p][1], known[p][1])]
     notes = []
     for path in changed:
         root, _, field = path.partition(".")
         assumed = next((p for p in known if p.endswith(f"nominal.{field}")), None)
-        if root == "plant" and assumed and assumed not in changed:
+        if root == "plant" and assumed and assumed not in paths:
             value = ", ".join(f"{v:g}" for v in known[assumed][1])
             notes.append(
                 f"{path} changed; the controller still assumes nominal.{field} = {value} "

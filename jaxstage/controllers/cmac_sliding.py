@@ -65,9 +65,7 @@ class CmacMemory:
 
 def _init(gains: CmacSliding, setpoint: Setpoint, measurement: Measurement) -> CmacMemory:
     error, rate = errors(setpoint, measurement)
-    return CmacMemory(
-        weights=gains.weights, surface=linear_surface(gains.slope, error, rate)
-    )
+    return CmacMemory(weights=gains.weights, surface=linear_surface(gains.slope, error, rate))
 
 
 @functools.cache
@@ -75,7 +73,11 @@ def cmac_sliding(receptive: Receptive = gaussian, switch: Switch = exact) -> Con
     """The law for one axis. receptive: `crisp` or `gaussian`; switch: `exact`, `smooth`, ..."""
 
     def control(
-        gains: CmacSliding, memory: CmacMemory, setpoint: Setpoint, measurement: Measurement, dt: float
+        gains: CmacSliding,
+        memory: CmacMemory,
+        setpoint: Setpoint,
+        measurement: Measurement,
+        dt: float,
     ) -> tuple[Array, CmacMemory]:
         error, rate = errors(setpoint, measurement)
         surface = linear_surface(gains.slope, error, rate)

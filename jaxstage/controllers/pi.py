@@ -10,7 +10,7 @@ K = 2 r1 nu b |xi|^2: a test of the published claim that learning does more than
 | K | proportional_gain | A/m |
 | c1 | slope | 1/s |
 
-Anti-windup: what the drive cuts off is taken out of the integral.
+Anti-windup: the command is set back to what the drive could give and integrates on from there.
 """
 
 import jax.numpy as jnp

@@ -56,7 +56,11 @@ def sliding(switch: Switch = exact) -> Controller:
     """The law for one axis with the given switch: `exact`, `smooth` or `implicit`."""
 
     def control(
-        gains: Sliding, memory: SlidingMemory, setpoint: Setpoint, measurement: Measurement, dt: float
+        gains: Sliding,
+        memory: SlidingMemory,
+        setpoint: Setpoint,
+        measurement: Measurement,
+        dt: float,
     ) -> tuple[Array, SlidingMemory]:
         error, rate = errors(setpoint, measurement)
         surface = linear_surface(gains.slope, error, rate)

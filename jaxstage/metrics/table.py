@@ -37,9 +37,7 @@ def columns(report: Any, axes: tuple[str, ...]) -> dict[str, Any]:
             raise ValueError(f"two figures are called {name}")
         array = np.asarray(value)
         if array.ndim:
-            table[name] = {
-                a: _number(v, quantity.factor) for a, v in zip(axes, array, strict=True)
-            }
+            table[name] = {a: _number(v, quantity.factor) for a, v in zip(axes, array, strict=True)}
         else:
             table[name] = _number(array, quantity.factor)
     return table

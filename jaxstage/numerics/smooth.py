@@ -18,17 +18,46 @@ def positive(x: Array) -> Array:
     return jnp.maximum(x, jnp.zeros_like(x))
 
 
-def shrink(x: Array, limit: Array) -> Array:
-    """Soft threshold x - clip(x, -limit, limit): the proximal map of ``limit |x|``.
+def clamp(x: Array, limit: Array) -> Array:
+    """clip(x, -limit, limit) whose derivative at the limit is that of the limit.
 
-    One implicit step of dry friction: what is smaller than the limit sticks exactly.
+    With limit 0 it is 0 with derivative 0 everywhere, x = 0 included: no friction and no
+    backlash are transparent to a gradient too. (`jnp.clip` shares a tie between its branches.)
     """
-    return x - jnp.clip(x, -limit, limit)
+    return jnp.where(x >= limit, limit, jnp.where(x <= -limit, -limit, x))
+
+
+@definition
+class DryFriction:
+    """How dry friction holds an axis in one implicit step.
+
+    held(push, limit): what friction takes of a push, at most the limit; both in one unit and
+    homogeneous, so speeds and forces may be given alike.
+    """
+
+    name: str
+    held: Callable[[Array, Array], Array]
+
+
+def _sticking(push: Array, limit: Array) -> Array:
+    return clamp(push, limit)
+
+
+def _creeping(push: Array, limit: Array) -> Array:
+    safe = jnp.where(limit > 0, limit, jnp.ones_like(limit))
+    return jnp.where(limit > 0, limit * jnp.tanh(push / safe), jnp.zeros_like(push))
+
+
+#: clip(push, -limit, limit), the proximal map of dry friction: a small push sticks exactly.
+sticking = DryFriction(name="sticking", held=_sticking)
+
+#: limit tanh(push / limit): smooth, so a small push creeps. A surrogate for searches.
+creeping = DryFriction(name="creeping", held=_creeping)
 
 
 def play(state: Array, value: Array, half_width: Array) -> Array:
     """Backlash: the state stays until the value pushes it, clip(state, value - d, value + d)."""
-    return jnp.clip(state, value - half_width, value + half_width)
+    return value - clamp(value - state, half_width)
 
 
 def cell(coordinate: Array, cells: int) -> Array:

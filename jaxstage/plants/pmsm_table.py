@@ -8,7 +8,7 @@ One step of length h treats the dry friction implicitly (backward Euler, proxima
 sticks exactly and no smallest step exists:
 
     t   = v + h (K_t w - F_L - F) / M
-    t   = shrink(t, h [F_c + (F_s - F_c) exp(-(v/v_s)^2)] / M)
+    t   = t - clip(t, +-h [F_c + (F_s - F_c) exp(-(v/v_s)^2)] / M)
     v'  = t / (1 + h (B + K_v) / M),   x' = x + h v'
 
 Source: Mao et al., Energies 2021, 14, 7802, equations (1)-(4). The implicit step, the play
@@ -22,7 +22,7 @@ from jax import Array
 
 from jaxstage.blocks import ForceProfile, Plant
 from jaxstage.fields import param, pytree, signal
-from jaxstage.numerics.smooth import play, positive, shrink
+from jaxstage.numerics.smooth import DryFriction, play, positive, sticking
 from jaxstage.signals import Output, Power
 
 N_PER_A = "N/A"
@@ -38,7 +38,9 @@ class PmsmTable:
     damping: Array = param("N s/m", "B", "viscous damping", shape=AXES, low=0.0)
     viscous: Array = param("N s/m", "K_v", "viscous part of the friction", shape=AXES, low=0.0)
     coulomb: Array = param("N", "F_c", "Coulomb friction", shape=AXES, low=0.0)
-    static: Array = param("N", "F_s", "break-away friction", shape=AXES, low=0.0, at_least="coulomb")
+    static: Array = param(
+        "N", "F_s", "break-away friction", shape=AXES, low=0.0, at_least="coulomb"
+    )
     stribeck: Array = param("m/s", "v_s", "Stribeck velocity", shape=AXES, above=0.0)
     load: Array = param("N", "F_L", "constant load, positive against +x", shape=AXES)
     backlash: Array = param("A", "delta", "half width of the play, in current", shape=AXES, low=0.0)
@@ -81,16 +83,6 @@ def _driven(params: PmsmTable, state: TableState, applied: Array, external: Arra
     return current, state.velocity + dt * push / params.mass
 
 
-def step(
-    params: PmsmTable, state: TableState, applied: Array, force: ForceProfile, dt: float
-) -> TableState:
-    """One implicit step of dt (s) with the current ``applied`` (axes,) A held."""
-    current, free = _driven(params, state, applied, force(0.5), dt)
-    slid = shrink(free, dt * dry_limit(params, state.velocity) / params.mass)
-    velocity = slid / (1 + dt * (params.damping + params.viscous) / params.mass)
-    return TableState(position=state.position + dt * velocity, velocity=velocity, current=current)
-
-
 def observe(params: PmsmTable, state: TableState) -> Output:
     """Tool and drive are one body."""
     return Output(
@@ -101,46 +93,55 @@ def observe(params: PmsmTable, state: TableState) -> Output:
     )
 
 
-def power(
-    params: PmsmTable,
-    before: TableState,
-    after: TableState,
-    applied: Array,
-    force: ForceProfile,
-    dt: float,
-) -> Power:
-    """Power of one step, each term a force of the step times the mean velocity (v + v')/2.
-
-    copper R u^2, mechanical K_t w v, drawn max(copper + mechanical, 0): no regeneration.
-    With the mean velocity the terms balance the kinetic energy exactly.
-    """
-    velocity = (before.velocity + after.velocity) / 2
-    external = force(0.5)
-    current, free = _driven(params, before, applied, external, dt)
-    limit = dry_limit(params, before.velocity)
-    dry = jnp.clip(free * params.mass / dt, -limit, limit)
-    viscous = (params.damping + params.viscous) * after.velocity
-    copper = params.resistance * applied**2
-    mechanical = params.force_constant * current * velocity
-    return Power(
-        copper=copper,
-        mechanical=mechanical,
-        dissipated=(dry + viscous) * velocity,
-        load=(params.load + external) * velocity,
-        drawn=positive(copper + mechanical),
-    )
-
-
 def stored(params: PmsmTable, state: TableState) -> Array:
     """Kinetic energy M v^2 / 2 of each axis, in J."""
     return params.mass * state.velocity**2 / 2
 
 
 @functools.cache
-def pmsm_table(axes: tuple[str, ...] = ("x", "y")) -> Plant:
-    """The table with the named axes."""
+def pmsm_table(axes: tuple[str, ...] = ("x", "y"), friction: DryFriction = sticking) -> Plant:
+    """The table with the named axes; friction `sticking`, or `creeping` as a smooth surrogate."""
+
+    def step(
+        params: PmsmTable, state: TableState, applied: Array, force: ForceProfile, dt: float
+    ) -> TableState:
+        current, free = _driven(params, state, applied, force(0.5), dt)
+        limit = dt * dry_limit(params, state.velocity) / params.mass
+        slid = free - friction.held(free, limit)
+        velocity = slid / (1 + dt * (params.damping + params.viscous) / params.mass)
+        position = state.position + dt * velocity
+        return TableState(position=position, velocity=velocity, current=current)
+
+    def power(
+        params: PmsmTable,
+        before: TableState,
+        after: TableState,
+        applied: Array,
+        force: ForceProfile,
+        dt: float,
+    ) -> Power:
+        """Each term a force of the step times the mean velocity (v + v')/2.
+
+        copper R u^2, mechanical K_t w v, drawn max(copper + mechanical, 0): no regeneration.
+        With the mean velocity the terms balance the kinetic energy exactly.
+        """
+        velocity = (before.velocity + after.velocity) / 2
+        external = force(0.5)
+        current, free = _driven(params, before, applied, external, dt)
+        dry = friction.held(free * params.mass / dt, dry_limit(params, before.velocity))
+        viscous = (params.damping + params.viscous) * after.velocity
+        copper = params.resistance * applied**2
+        mechanical = params.force_constant * current * velocity
+        return Power(
+            copper=copper,
+            mechanical=mechanical,
+            dissipated=(dry + viscous) * velocity,
+            load=(params.load + external) * velocity,
+            drawn=positive(copper + mechanical),
+        )
+
     return Plant(
-        name="pmsm_table",
+        name=f"pmsm_table[{friction.name}]",
         axes=axes,
         command_unit="A",
         init=init,

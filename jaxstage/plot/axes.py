@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxstage.plot.numbers import length_unit
+from jaxstage.metrics.words import length_unit
 from jaxstage.plot.style import (
     REFERENCE,
     axis_colours,

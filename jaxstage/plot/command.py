@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxstage.plot.numbers import time_text
+from jaxstage.metrics.words import time_text
 from jaxstage.plot.style import (
     LOST,
     OTHER,

@@ -4,7 +4,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxstage.plot.numbers import length_text, pixels, round_down
+from jaxstage.metrics.words import length_text
+from jaxstage.plot.numbers import pixels, round_down
 from jaxstage.plot.style import (
     LOST,
     OTHER,

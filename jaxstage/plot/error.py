@@ -4,7 +4,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxstage.plot.numbers import envelope, length_unit
+from jaxstage.metrics.words import length_unit
+from jaxstage.plot.numbers import envelope
 from jaxstage.plot.style import (
     OTHER,
     SCORED,

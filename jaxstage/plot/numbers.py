@@ -1,4 +1,4 @@
-"""Round numbers, units that fit, and thinning that loses no spike."""
+"""Round numbers, and thinning that loses no spike."""
 
 import math
 
@@ -11,25 +11,6 @@ def round_down(value: float) -> float:
     # 1e-9: a value such as 0.2/0.1 must not fall below the number it stands for
     step = max(s for s in (1.0, 2.0, 5.0, 10.0) if s <= value / power * (1 + 1e-9))
     return step * power
-
-
-def length_unit(largest: float) -> tuple[float, str]:
-    """Factor and name of the display unit for lengths up to ``largest`` in m: µm or mm."""
-    return (1e6, "µm") if not largest >= 2e-3 else (1e3, "mm")
-
-
-def length_text(length: float) -> str:
-    """A length in m with three digits and its unit."""
-    factor, unit = length_unit(abs(length))
-    return f"{length * factor:.3g} {unit}"
-
-
-def time_text(time: float) -> str:
-    """A time in s with its unit: µs, ms or s."""
-    for unit, factor in (("µs", 1e6), ("ms", 1e3)):
-        if abs(time) * factor < 1e3:
-            return f"{time * factor:.4g} {unit}"
-    return f"{time:.4g} s"
 
 
 def envelope(x: np.ndarray, y: np.ndarray, count: int = 1500) -> np.ndarray:

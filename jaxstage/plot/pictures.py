@@ -16,6 +16,7 @@ from jaxstage.plot.view import View, view
 from jaxstage.plot.weights import weights
 from jaxstage.signals import Sample
 from jaxstage.studies import Case
+from jaxstage.studies.verdict import lost_because
 
 
 def pictures(
@@ -24,10 +25,10 @@ def pictures(
     """Draw what applies to the run into ``folder``, which must exist; returns the files.
 
     report: the figures of the scored part. rows: what the metric `record` stored. result: the
-    summary of the run; its ``left_path_at`` and ``non_finite_at`` say why a run was lost.
+    summary of the run; its ``left_path_at`` says why a run was lost.
     A picture of an earlier run that does not apply to this one is removed.
     """
-    shown = view(case, report, rows, _because(case, result))
+    shown = view(case, report, rows, lost_because(case, result["left_path_at"]))
     files = []
     for name, draw, applies in _menu(shown):
         file = folder / f"{name}.png"
@@ -60,9 +61,3 @@ def _menu(shown: View) -> tuple[tuple[str, Any, bool], ...]:
         ("weights", weights, some and shown.weights is not None),
         ("surface", surface, some and shown.surface is not None),
     )
-
-
-def _because(case: Case, result: Mapping[str, Any]) -> str:
-    if result["left_path_at"] is not None:
-        return f"following error above {case.loop.path_limit * 1e3:g} mm"
-    return "a value is not finite"

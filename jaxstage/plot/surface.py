@@ -4,7 +4,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxstage.plot.numbers import length_unit, pixels
+from jaxstage.metrics.words import length_unit
+from jaxstage.plot.numbers import pixels
 from jaxstage.plot.style import (
     REFERENCE,
     axis_colours,

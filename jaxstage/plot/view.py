@@ -8,9 +8,10 @@ import numpy as np
 from jaxstage import __version__
 from jaxstage.fields import leaves
 from jaxstage.metrics import columns
-from jaxstage.plot.numbers import length_text, time_text
+from jaxstage.metrics.words import time_text
 from jaxstage.signals import Sample
 from jaxstage.studies import Case
+from jaxstage.studies.verdict import scored_text, verdict
 
 
 class View(NamedTuple):
@@ -99,10 +100,10 @@ def view(case: Case, report: Any, rows: Sample, because: str = "the run was lost
         heading=np.asarray(curve.tangent[0]),
         laps=tuple((k, min(k + lap, count)) for k in range(0, count, lap)),
         scored=(min(case.window.start, count), min(case.window.stop, count)),
-        scored_text=_scored_text(case),
+        scored_text=scored_text(case),
         duration=len(tool) * case.loop.dt,
         lost=lost,
-        verdict=_verdict(case, report, lost, because),
+        verdict=verdict(case, columns(report, case.loop.plant.axes), lost, because),
         footer=_footer(case, str(tool.dtype)),
     )
 
@@ -116,26 +117,6 @@ def _optional(tree: Any, name: str, kept: slice) -> np.ndarray | None:
     found = (value for path, _, value in leaves(tree) if path.rsplit(".", 1)[-1] == name)
     value = next(found, None)
     return None if value is None else _array(value, kept)
-
-
-def _scored_text(case: Case) -> str:
-    if case.window.scored == 0:
-        return "whole run"
-    return f"lap {case.window.scored} of {case.window.laps:g}"
-
-
-def _verdict(case: Case, report: Any, lost: int | None, because: str) -> str:
-    if lost is not None:
-        at = time_text(lost * case.loop.dt)
-        return f"LOST at t = {at} (tick {lost} of {case.window.ticks}): {because}; no figures"
-    figures = columns(report, case.loop.plant.axes)
-    rms, top = figures.get("contour_rms_um"), figures.get("contour_max_um")
-    if rms is None or top is None:
-        return f"on path ({_scored_text(case)})"
-    return (
-        f"on path; contour error {length_text(rms * 1e-6)} RMS, {length_text(top * 1e-6)} max "
-        f"({_scored_text(case)})"
-    )
 
 
 def _footer(case: Case, dtype: str) -> str:

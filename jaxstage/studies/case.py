@@ -40,6 +40,11 @@ class Window(NamedTuple):
     scored: int
 
 
+#: ticks and substeps of a run are counted in 32 bits, and a lap is kept in memory
+MOST_STEPS = 2**31 - 1
+MOST_LAP_TICKS = 50_000_000
+
+
 def check_timing(timing: Timing) -> None:
     """Raise ValueError for impossible timing, naming the value and its range."""
     positive = {"lap_time": timing.lap_time, "dt": timing.dt}
@@ -50,8 +55,13 @@ def check_timing(timing: Timing) -> None:
             raise ValueError(f"{name} = {value}: must be > 0 {'mm/min' if name == 'feed' else 's'}")
     for name in ("laps", "substeps"):
         value = getattr(timing, name)
-        if int(value) != value or value < 1:
+        if not (value >= 1 and value % 1 == 0):
             raise ValueError(f"{name} = {value}: must be a whole number >= 1")
+    if timing.feed is None and timing.lap_time / timing.dt > MOST_LAP_TICKS:
+        raise ValueError(
+            f"lap_time = {timing.lap_time} s at dt = {timing.dt} s: "
+            f"must be <= {MOST_LAP_TICKS} control periods"
+        )
 
 
 def window(timing: Timing, lap_ticks: int) -> Window:
@@ -61,13 +71,18 @@ def window(timing: Timing, lap_ticks: int) -> Window:
         ticks = round(timing.duration / timing.dt)
         if ticks < 1:
             raise ValueError(f"duration = {timing.duration} s: must be >= dt = {timing.dt} s")
+    if ticks * timing.substeps > MOST_STEPS:
+        raise ValueError(
+            f"laps, duration, dt and substeps give {ticks * timing.substeps:.3g} plant steps: "
+            f"must be <= {MOST_STEPS}"
+        )
     whole_laps = ticks // lap_ticks
     scored = whole_laps if timing.scored is None else timing.scored
     laps = ticks / lap_ticks
     laps = int(laps) if laps == int(laps) else laps
     if scored == 0:
         return Window(ticks, 0, ticks, laps, 0)
-    if int(scored) != scored or not 1 <= scored <= whole_laps:
+    if scored % 1 != 0 or not 1 <= scored <= whole_laps:
         raise ValueError(
             f"scored = {scored}: must be 0 (whole run) or a whole lap of the run, 1..{whole_laps}"
         )

@@ -8,7 +8,7 @@ Lengths of the paper's controller are centimetres; here they are metres: r1 = 0.
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +46,9 @@ from jaxstage.studies.case import Case, NamedLoop, Study, Timing, check_timing, 
 PATH_LIMIT = 0.1
 
 
-def _xy(x: float, y: float | None = None) -> np.ndarray:
-    return np.array([x, x if y is None else y])
+def _xy(x: float, y: float | None = None) -> Array:
+    # numpy until a case is built: importing must not start JAX
+    return cast(Array, np.array([x, x if y is None else y]))
 
 
 def plant() -> PmsmTable:
@@ -110,7 +111,7 @@ def _cmac_gains(receptive: Any, credit: float) -> CmacSliding:
         switching_gain=_xy(0.01),  # published, unit chosen: 1 cm/s2
         error_width=_xy(5e-3),  # chosen: the width m = 0.5, in cm
         rate_width=_xy(50e-3),  # chosen: a tenth of it loses heart and star
-        weights=np.zeros((2, *SHAPE)),  # chosen
+        weights=cast(Array, np.zeros((2, *SHAPE))),  # chosen
         receptive=receptive,
         switch=(),
         nominal=nominal(),
@@ -130,9 +131,7 @@ def dfcmac_gains() -> CmacSliding:
 def pi_gains() -> Pi:
     """The PI law that the CMAC is while it stays in one cell: K = 2 r1 nu 4 b."""
     table = plant()
-    return Pi(
-        proportional_gain=2 * 10.0 * table.force_constant / table.mass, slope=_xy(1.0)
-    )
+    return Pi(proportional_gain=2 * 10.0 * table.force_constant / table.mass, slope=_xy(1.0))
 
 
 def cascade_gains() -> Cascade:
@@ -166,9 +165,7 @@ class Law(NamedTuple):
 LAWS = (
     Law("sliding", "ideal sliding mode, model known", sliding(), sliding_gains, _surface),
     Law("cmac", "conventional CMAC sliding mode", cmac_sliding(crisp), cmac_gains, _surface),
-    Law(
-        "dfcmac", "direct fuzzy CMAC sliding mode", cmac_sliding(gaussian), dfcmac_gains, _surface
-    ),
+    Law("dfcmac", "direct fuzzy CMAC sliding mode", cmac_sliding(gaussian), dfcmac_gains, _surface),
     Law("pi", "PI law equal to the CMAC in one cell", pi, pi_gains, _surface),
     Law("cascade", "P position / PI velocity cascade", cascade, cascade_gains, None),
 )

@@ -1,0 +1,50 @@
+"""How far single precision is from double, per loop: measured, kept, and acted upon."""
+
+import tomllib
+from importlib import resources
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxstage.metrics import columns
+from jaxstage.rollout import simulate
+from jaxstage.studies.case import Case
+
+#: the figures that are compared
+HEADLINE = ("ate_um", "tesd_um", "contour_rms_um", "contour_max_um", "energy_J")
+#: a loop with a larger relative difference is refused in single precision, unless forced
+LARGEST = 0.01
+
+
+def compare_precision(case: Case) -> dict[str, float]:
+    """|f32 - f64| / |f64| of each headline figure. Needs double precision to be switched on."""
+    if jnp.zeros(()).dtype != jnp.float64:
+        raise ValueError("comparing precisions needs precision = double")
+    single = jax.tree.map(
+        lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, case.path
+    )
+    axes = case.loop.plant.axes
+    tables = []
+    for path in (case.path, single):
+        run = simulate(case.loop, case.gains, case.scenario, path, case.window.ticks)
+        tables.append(columns(run.report, axes))
+    double, rough = tables
+    return {
+        key: abs(rough[key] - double[key]) / abs(double[key])
+        if rough[key] is not None and double[key]
+        else float("inf")
+        for key in HEADLINE
+    }
+
+
+def stored_precision(study: str) -> dict[str, dict[str, float]]:
+    """The measured table of a study, loop -> figure -> relative difference."""
+    folder = resources.files("jaxstage.studies") / study.replace("-", "_")
+    return tomllib.loads((folder / "precision.toml").read_text(encoding="utf-8"))
+
+
+def worst(table: dict[str, Any]) -> tuple[str, float]:
+    """The figure with the largest difference, and that difference."""
+    figure = max(table, key=lambda key: table[key])
+    return figure, float(table[figure])

@@ -1,0 +1,38 @@
+"""What became of a run, in one sentence."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from jaxstage.metrics.words import length_text, time_text
+from jaxstage.studies.case import Case
+
+
+def scored_text(case: Case) -> str:
+    """What the figures cover."""
+    if case.window.scored == 0:
+        return "whole run"
+    return f"lap {case.window.scored} of {case.window.laps:g}"
+
+
+def lost_because(case: Case, left_path_at: int | None) -> str:
+    """Why a lost run was lost; ``left_path_at`` is None where it stopped being finite."""
+    if left_path_at is not None:
+        return f"following error above {case.loop.path_limit * 1e3:g} mm"
+    return "a value is not finite"
+
+
+def verdict(case: Case, figures: Mapping[str, Any], lost: int | None, because: str) -> str:
+    """One sentence: complete with its contour error, or LOST, when and why.
+
+    figures: the columns of the scored report. lost: the tick at which the run was lost, or None.
+    """
+    if lost is not None:
+        at = time_text(lost * case.loop.dt)
+        return f"LOST at t = {at} (tick {lost} of {case.window.ticks}): {because}; no figures"
+    rms, top = figures.get("contour_rms_um"), figures.get("contour_max_um")
+    if rms is None or top is None:
+        return f"complete ({scored_text(case)})"
+    return (
+        f"complete; contour error {length_text(rms * 1e-6)} RMS, {length_text(top * 1e-6)} max "
+        f"({scored_text(case)})"
+    )
