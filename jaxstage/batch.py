@@ -5,8 +5,9 @@ every array; tiles of lanes run one after the other, and the tiles are spread ov
 (one per core, see `runtime.configure`). Leaves that are not batched are shared, never copied.
 """
 
+import functools
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ from jaxstage.signals import Carry, Run, Scenario
 from jaxstage.tiles import remembered_tile
 
 #: the tick counter is the same for all lanes, so that the path is looked up once
-_LANES: Any = Carry(
+_LANES = cast(Any, Carry)(
     **dict.fromkeys(
         ("state", "drive", "sensor", "memory", "metric", "left_path_at", "non_finite_at"), -1
     ),
@@ -47,8 +48,10 @@ def rollouts(
     ``jax.vmap``: 0 where leaves have a leading batch axis. tile: lanes that run together; None
     measures it once per loop and machine and remembers it. devices: how many XLA devices share
     the tiles; None takes all. memory: budget in bytes for the results, so that recording many
-    long runs is refused rather than swapped. Tile and devices do not change a result; a lost run
-    is flagged in its own lane and changes nothing in the others.
+    long runs is refused rather than swapped. The tile does not change a bit of a result; the
+    number of devices changes the last ones (XLA compiles the partitioned program on its own;
+    1e-11 of the value was seen). A lost run is flagged in its own lane and changes nothing in the
+    others.
 
     Raises ValueError for bad input, naming the value and the run; for batches of different size;
     for tile, devices or ticks < 1; for results beyond the memory budget.
@@ -69,7 +72,8 @@ def rollouts(
         tile = remembered_tile(one, leaves, batched, lanes)
     if tile < 1:
         raise ValueError(f"tile = {tile}: must be >= 1")
-    tile = min(tile, -(-lanes // devices))
+    # a tile of one lane would be compiled to another program, with other last bits
+    tile = max(2, min(tile, -(-lanes // devices)))
     _check_memory(loop, ticks, structure, batched, leaves, lanes, memory)
     return _rollouts(loop, ticks, tile, devices, structure, batched, leaves)
 
@@ -102,15 +106,16 @@ def run_tile(
     inputs = [jnp.moveaxis(x, 0, -1) if b else x for x, b in zip(leaves, batched, strict=True)]
     last = [-1 if b else None for b in batched]
 
-    def begin(*values: Array) -> Carry:
+    def begin(values: list[Array]) -> Carry:
         return start(loop, *jax.tree.unflatten(structure, values))
 
-    def step(carry: Carry, *values: Array) -> tuple[Carry, Any]:
-        return advance(loop, *jax.tree.unflatten(structure, values), carry)
+    def step(carry: Carry, values: list[Array]) -> tuple[Carry, Any]:
+        gains, scenario, path = jax.tree.unflatten(structure, values)
+        return advance(loop, gains, scenario, path, carry)
 
-    every: Any = jax.vmap(step, in_axes=(_LANES, *last), out_axes=(_LANES, -1))
-    carry = jax.vmap(begin, in_axes=last, out_axes=_LANES)(*inputs)
-    carry, rows = scan_ticks(loop, ticks, lambda c: every(c, *inputs), carry)
+    every = jax.vmap(step, in_axes=(_LANES, last), out_axes=(_LANES, -1))
+    carry = jax.vmap(begin, in_axes=(last,), out_axes=_LANES)(inputs)
+    carry, rows = scan_ticks(loop, ticks, lambda c: every(c, inputs), carry)
     finish = jax.vmap(lambda c: report(loop, c), in_axes=(_LANES,), out_axes=0)
     lanes = carry.left_path_at.shape[-1]
     steps = jnp.broadcast_to(carry.step, (lanes,))
@@ -153,6 +158,19 @@ def _rollouts(
     return jax.tree.map(lambda x: x.reshape(tiles * tile, *x.shape[2:])[:lanes], result)
 
 
+@functools.cache
+def _bytes_of_a_run(
+    loop: Loop,
+    ticks: int,
+    structure: Any,
+    batched: tuple[bool, ...],
+    shapes: tuple[jax.ShapeDtypeStruct, ...],
+) -> int:
+    """Bytes that the result of one run takes."""
+    result = jax.eval_shape(lambda v: run_tile(loop, ticks, v, structure, batched), list(shapes))
+    return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(result))
+
+
 def _check_memory(
     loop: Loop,
     ticks: int,
@@ -162,12 +180,11 @@ def _check_memory(
     lanes: int,
     memory: float,
 ) -> None:
-    one = [
+    one = tuple(
         jax.ShapeDtypeStruct((1, *x.shape[1:]) if b else x.shape, x.dtype)
         for x, b in zip(leaves, batched, strict=True)
-    ]
-    shapes = jax.eval_shape(lambda v: run_tile(loop, ticks, v, structure, batched), one)
-    needed = lanes * sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(shapes))
+    )
+    needed = lanes * _bytes_of_a_run(loop, ticks, structure, batched, one)
     if needed > memory:
         raise ValueError(
             f"{lanes} runs of {ticks} ticks would return {needed / 1e9:.3g} GB, more than the "

@@ -62,8 +62,7 @@ class Quantity:
         parts = [f"> {self.above:g}{unit}"] if self.above > -math.inf else []
         parts += [f">= {self.low:g}{unit}"] if self.low > -math.inf else []
         parts += [f"<= {self.high:g}{unit}"] if self.high < math.inf else []
-        parts = parts if self.infinite else ["finite", *parts]
-        return " and ".join(parts)
+        return " and ".join(parts) or "finite"
 
 
 def _quantity(role: str) -> Callable[..., Any]:
