@@ -59,12 +59,14 @@ class Reference:
     """A commanded motion, sampled at integer ticks, and its curve.
 
     ``nearest(params, tick, position)`` is the point of the continuous curve nearest to
-    ``position`` on the local branch around the commanded point of that tick.
+    ``position`` on the local branch around the commanded point of that tick. ``period(params)``
+    is the time between two ticks in s, which must be the control period of the loop.
     """
 
     name: str
     sample: Callable[[Params, Array], Setpoint]
     nearest: Callable[[Params, Array, Array], Nearest]
+    period: Callable[[Params], Array | float]
 
 
 @definition

@@ -26,6 +26,7 @@ def check(
     """
     path = jax.tree.map(jnp.asarray, path)
     dtype = float_type(path)
+    _check_key(scenario)
     gains = strong(gains, dtype)
     scenario = strong(scenario, dtype)
     check_loop(loop)
@@ -42,30 +43,52 @@ def check(
             f"the path has {sampled.position.shape[-1]} axes, "
             f"but {loop.plant.name} has {len(axes)} ({', '.join(axes)})"
         )
+    _check_period(loop, path)
     check_leaves(gains, "gains", axes, in_axes[0], per_axis=True)
     for name in ("plant", "load", "sensor", "drive", "start"):
-        check_leaves(getattr(scenario, name), name, axes, getattr(in_axes[1], name))
+        batch = getattr(in_axes[1], name)
+        check_leaves(getattr(scenario, name), name, axes, batch, per_axis=name == "sensor")
     _check_delay(loop, scenario)
     return gains, scenario, path
 
 
 def float_type(tree: Any) -> Any:
-    """The type of the first floating-point leaf; the precision of a run is that of its path."""
+    """The type of the first floating-point leaf, JAX's default without one.
+
+    The precision of a run is that of its path.
+    """
     for leaf in jax.tree.leaves(tree):
         if jnp.issubdtype(leaf.dtype, jnp.floating):
             return leaf.dtype
-    raise ValueError("the path holds no floating-point array")
+    return jnp.zeros(()).dtype
 
 
 def strong(tree: Any, dtype: Any) -> Any:
     """The tree with Python numbers and floats as arrays of one type, so nothing retraces."""
 
     def convert(leaf: Any) -> Any:
-        if isinstance(leaf, jax.Array) and not jnp.issubdtype(leaf.dtype, jnp.number):
+        if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             return leaf
         return jnp.asarray(leaf, dtype=dtype)
 
     return jax.tree.map(convert, tree)
+
+
+def _check_period(loop: Loop, path: Any) -> None:
+    period = loop.reference.period(path)
+    if isinstance(period, Tracer):
+        return
+    wrong = np.abs(np.asarray(period, float) / loop.dt - 1) > 1e-5
+    if np.any(wrong):
+        raise ValueError(
+            f"loop.dt = {loop.dt:g} s, but the path has a tick every "
+            f"{float(np.max(np.asarray(period))):g} s: make it for the dt of the loop"
+        )
+
+
+def _check_key(scenario: Scenario) -> None:
+    if not jnp.issubdtype(jnp.asarray(scenario.key).dtype, jax.dtypes.prng_key):
+        raise ValueError("scenario.key must be a key of jax.random.key(seed)")
 
 
 def check_loop(loop: Loop) -> None:

@@ -7,6 +7,7 @@ from jax import Array
 
 from jaxstage.blocks import Drive
 from jaxstage.fields import param, pytree, signal
+from jaxstage.numerics.smooth import clamp
 
 
 def _ideal_init(params: tuple[()], demand: Array) -> tuple[()]:
@@ -35,34 +36,37 @@ class CurrentMemory:
     """Commands under way, newest first, and the output of the lag."""
 
     queue: Array = signal("1", "u", "past commands", shape="(max_delay + 1, axes)")
-    applied: Array = signal("1", "u_a", "output of the lag", shape="(axes,)")
+    lagged: Array = signal("1", "a", "output of the lag at the end of the period", shape="(axes,)")
 
 
 @functools.cache
 def current_drive(max_delay: int = 0) -> Drive:
     """command = clip(demand, +-u_max); applied = command delayed by ``delay`` periods, then lagged.
 
-    The lag is a_k = a_{k-1} + (1 - exp(-dt/tau)) (u_k - a_{k-1}), held over the period; tau = 0
-    is none. The delay is data, up to the static ``max_delay``; before the first command has
-    arrived the plant sees 0. Raises ValueError for a negative ``max_delay``.
+    The lag is tau a' = u - a; the plant gets its mean over the period, held: exact in impulse, for
+    any tau against dt. tau = 0 is none. The delay is data, up to the static ``max_delay``; before
+    the first command has arrived the plant sees 0. Raises ValueError for a negative ``max_delay``.
     """
     if max_delay < 0:
         raise ValueError(f"max_delay must be >= 0, got {max_delay}")
 
     def init(params: CurrentDrive, demand: Array) -> CurrentMemory:
         zero = jnp.zeros_like(demand)
-        return CurrentMemory(queue=jnp.stack([zero] * (max_delay + 1)), applied=zero)
+        return CurrentMemory(queue=jnp.stack([zero] * (max_delay + 1)), lagged=zero)
 
     def apply(
         params: CurrentDrive, memory: CurrentMemory, demand: Array, dt: float
     ) -> tuple[Array, Array, CurrentMemory]:
-        command = jnp.clip(demand, -params.limit, params.limit)
+        command = clamp(demand, params.limit)
         queue = jnp.concatenate([command[None], memory.queue[:-1]])
         arrived = queue[jnp.clip(params.delay, 0, max_delay).astype(jnp.int32)]
         tau = jnp.where(params.lag > 0, params.lag, jnp.ones_like(params.lag))
-        left = jnp.where(params.lag > 0, jnp.exp(-dt / tau), jnp.zeros_like(tau))
-        applied = arrived + left * (memory.applied - arrived)
-        return command, applied, CurrentMemory(queue=queue, applied=applied)
+        zero = jnp.zeros_like(tau)
+        left = jnp.where(params.lag > 0, jnp.exp(-dt / tau), zero)
+        mean = jnp.where(params.lag > 0, -jnp.expm1(-dt / tau) * tau / dt, zero)
+        behind = memory.lagged - arrived
+        kept = CurrentMemory(queue=queue, lagged=arrived + left * behind)
+        return command, arrived + mean * behind, kept
 
     return Drive(name="current_drive", init=init, apply=apply, max_delay=max_delay)
 

@@ -117,7 +117,9 @@ def definition(cls: type[T]) -> type[T]:
 
 
 def replace(obj: T, **changes: Any) -> T:
-    """A copy of a pytree or definition with some fields changed."""
+    """A copy of a pytree, definition or `Case` with some fields changed."""
+    if isinstance(obj, tuple):
+        return obj._replace(**changes)  # type: ignore[attr-defined]
     return dataclasses.replace(obj, **changes)  # type: ignore[type-var]
 
 
@@ -136,6 +138,23 @@ def parts(cls: Any) -> tuple[str, ...]:
 def is_pytree_data(obj: Any) -> bool:
     """True for an instance of a `@pytree` class."""
     return dataclasses.is_dataclass(obj) and not isinstance(obj, type)
+
+
+def map_leaves(function: Callable[[Quantity, Any], Any], tree: Any) -> Any:
+    """The tree with ``function(quantity, value)`` in place of every field with a unit."""
+    if is_pytree_data(tree):
+        units = quantities(tree)
+        changed = {
+            f.name: function(units[f.name], value)
+            if f.name in units
+            else map_leaves(function, value)
+            for f in dataclasses.fields(tree)
+            for value in (getattr(tree, f.name),)
+        }
+        return type(tree)(**changed)
+    if isinstance(tree, tuple):
+        return tuple(map_leaves(function, value) for value in tree)
+    return tree
 
 
 def leaves(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity, Any]]:

@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array
 
 from jaxstage.blocks import Loop
+from jaxstage.numerics.smooth import KINK
 from jaxstage.rollout import start
 from jaxstage.settings import known_leaves, replaced, resolve
 from jaxstage.signals import Scenario
@@ -150,7 +151,7 @@ def grad_check(
     objective(gains, scenario) -> (): usually a figure of ``simulate(loop, ...)``. names: settings
     by path, symbol or suffix; every element of them is a parameter. step: relative step of the
     central difference; a parameter that is 0 steps by ``scales[path]`` (default 1) times it.
-    Raises ValueError for unknown names.
+    Raises ValueError for unknown names, and for an objective that is not finite.
     """
     chosen = select(gains, scenario, names)
 
@@ -160,6 +161,8 @@ def grad_check(
     x = chosen.vector
     value, reverse = jax.jit(value_and_gradient(function, forward=False))(x)
     _, forward = jax.jit(value_and_gradient(function, forward=True))(x)
+    if not np.isfinite(value):
+        raise ValueError(f"the objective is {float(value)}: the run was lost, nothing to check")
     scale = _scales(chosen, scales or {})
     ends = jax.jit(lambda moved: jax.lax.map(function, moved, batch_size=64))
     moves = jnp.diag(step * scale)
@@ -177,32 +180,37 @@ def _scales(chosen: Selection, scales: Mapping[str, float]) -> Array:
     return jnp.where(chosen.vector != 0, jnp.abs(chosen.vector), jnp.asarray(plain))
 
 
-#: operations with a kink or a jump
-_KINKED = frozenset({"sign", "abs", "max", "min", "clamp", "floor", "ceil", "round", "rem"})
+#: operations with a kink or a jump that a law may use without naming it
+_KINKED = frozenset({"sign", "abs", "max", "min", "clamp", "floor", "ceil", "round"})
 _STAGES = ("sense", "control", "drive", "settle", "plant")
 
 
 def kinks(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> tuple[str, ...]:
-    """The kinked operations of one tick, by stage: ``control: floor x4, sign``."""
+    """The kinks of one tick by stage, e.g. ``control: cell, sign, within``.
+
+    Those of `numerics.smooth` by their names; others by that of the operation.
+    """
     carry = jax.eval_shape(lambda g, s, p: start(loop, g, s, p), gains, scenario, path)
-    whole = jax.make_jaxpr(lambda g, s, p, c: tick(loop, g, s, p, c))(gains, scenario, path, carry)
-    found: dict[str, dict[str, int]] = {}
+
+    def move(gains: Any, scenario: Scenario, path: Any, carry: Any) -> Any:
+        after, _ = tick(loop, gains, scenario, path, carry)
+        return after.state, after.memory
+
+    found: dict[str, set[str]] = {}
+    whole = jax.make_jaxpr(move)(gains, scenario, path, carry)
     _collect(whole.jaxpr, "", found)
-    return tuple(
-        f"{stage}: "
-        + ", ".join(f"{name} x{n}" if n > 1 else name for name, n in sorted(found[stage].items()))
-        for stage in _STAGES
-        if stage in found
-    )
+    return tuple(f"{s}: {', '.join(sorted(found[s]))}" for s in _STAGES if s in found)
 
 
-def _collect(jaxpr: Any, outer: str, found: dict[str, dict[str, int]]) -> None:
+def _collect(jaxpr: Any, outer: str, found: dict[str, set[str]]) -> None:
     for equation in jaxpr.eqns:
         scope = f"{outer}/{equation.source_info.name_stack}"
-        stage = next((s for s in scope.split("/") if s in _STAGES), None)
-        if stage and equation.primitive.name in _KINKED:
-            names = found.setdefault(stage, {})
-            names[equation.primitive.name] = names.get(equation.primitive.name, 0) + 1
+        parts = scope.split("/")
+        stage = next((s for s in parts if s in _STAGES), None)
+        named = [p.removeprefix(KINK) for p in parts if p.startswith(KINK)]
+        floating = any(jnp.issubdtype(v.aval.dtype, jnp.floating) for v in equation.outvars)
+        if stage and floating and (named or equation.primitive.name in _KINKED):
+            found.setdefault(stage, set()).add(named[0] if named else equation.primitive.name)
         for inner in jax.tree.leaves(
             list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")
         ):

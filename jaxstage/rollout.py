@@ -13,7 +13,7 @@ from jaxstage.blocks import Loop, Metric
 from jaxstage.check import check
 from jaxstage.fields import replace
 from jaxstage.signals import Carry, Output, Run, Sample, Scenario, Setpoint
-from jaxstage.tick import tick
+from jaxstage.tick import tick, tick_keys
 
 
 def simulate(
@@ -60,7 +60,8 @@ def start(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> Carry:
     )
     state = loop.plant.init(scenario.plant, output)
     sensor = loop.sensor.init(scenario.sensor, output)
-    measurement, _ = loop.sensor.read(scenario.sensor, sensor, scenario.key, output, loop.dt)
+    key, _ = tick_keys(scenario, jnp.zeros((), jnp.int32))
+    measurement, _ = loop.sensor.read(scenario.sensor, sensor, key, output, loop.dt)
     never = jnp.full((), -1, jnp.int32)
     return Carry(
         state=state,
@@ -141,7 +142,7 @@ def _checked_tick(loop: Loop, structure: Any, *leaves: Any) -> tuple[Any, Array]
     zero, and reverse mode would turn it into 0 x NaN.
     """
     after, row = tick(loop, *jax.tree.unflatten(structure, leaves))
-    return (after, row), _finite((after.state, after.drive, after.sensor, after.memory))
+    return (after, row), _finite(replace(after, step=None))
 
 
 def _checked_tick_jvp(loop: Loop, structure: Any, primals: Any, tangents: Any) -> Any:

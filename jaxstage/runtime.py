@@ -13,9 +13,9 @@ def configure(
 
     precision: "double" (64 bit) or "single". cores: XLA host devices, one per core; None leaves
     JAX's choice. cache: folder that keeps compiled programs for the next start, "default" is
-    ``$XDG_CACHE_HOME/jaxstage``, None keeps none. (Where XLA then logs that a cached program was
-    built for another machine it compares tuning flags; ``TF_CPP_MIN_LOG_LEVEL=3`` in the
-    environment silences it, as the command line does.) Raises ValueError for a bad value,
+    ``$XDG_CACHE_HOME/jaxstage``, None leaves JAX's setting. (Where XLA then logs that a cached
+    program was built for another machine it compares tuning flags; ``TF_CPP_MIN_LOG_LEVEL=3`` in
+    the environment silences it, as the command line does.) Raises ValueError for a bad value,
     RuntimeError when JAX has already started with another number of devices.
     """
     if precision not in ("single", "double"):
@@ -25,10 +25,12 @@ def configure(
             raise ValueError(f"cores = {cores}: must be >= 1")
         jax.config.update("jax_num_cpu_devices", cores)
     jax.config.update("jax_enable_x64", precision == "double")
+    if cache is None:
+        return
     if cache == "default":
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         cache = Path(base) / "jaxstage"
-    jax.config.update("jax_compilation_cache_dir", None if cache is None else str(cache))
+    jax.config.update("jax_compilation_cache_dir", str(cache))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 

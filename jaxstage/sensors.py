@@ -5,6 +5,8 @@ from jax import Array
 
 from jaxstage.blocks import Sensor
 from jaxstage.fields import param, pytree, signal
+from jaxstage.numerics.filters import low_pass_weight
+from jaxstage.numerics.smooth import quantise
 from jaxstage.signals import Measurement, Output
 
 
@@ -47,12 +49,6 @@ class EncoderMemory:
     fresh: Array = signal("1", "", "1 until the first sample was read")
 
 
-def quantise(position: Array, resolution: Array) -> Array:
-    """resolution * floor(position / resolution + 1/2); resolution 0 leaves the position."""
-    step = jnp.where(resolution > 0, resolution, jnp.ones_like(resolution))
-    return jnp.where(resolution > 0, step * jnp.floor(position / step + 0.5), position)
-
-
 def _encoder_init(params: Encoder, output: Output) -> EncoderMemory:
     return EncoderMemory(last=_truth(output), fresh=jnp.ones((), output.position.dtype))
 
@@ -62,7 +58,7 @@ def _encoder_read(
 ) -> tuple[Measurement, EncoderMemory]:
     """v <- v + (1 - exp(-2 pi f dt)) ((y_k - y_{k-1})/dt - v); the first sample is the truth."""
     last = memory.last
-    weight = 1 - jnp.exp(-2 * jnp.pi * params.bandwidth * dt)
+    weight = low_pass_weight(params.bandwidth, dt)
     position = quantise(output.position, params.resolution)
     drive = quantise(output.drive_position, params.resolution)
 

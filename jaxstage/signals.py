@@ -46,14 +46,14 @@ class Measurement:
 class Power:
     """Mean power of each axis over a substep or period.
 
-    The ledger ``mechanical - dissipated - load = change of stored energy`` holds term by term;
-    the supply delivers ``copper + mechanical``.
+    Each term has its own formula, so that ``mechanical - dissipated - load = change of stored
+    energy`` is a check of the plant; the supply delivers ``copper + mechanical``.
     """
 
     copper: Array = signal("W", "P_cu", "resistive loss of the motor", shape="(axes,)")
     mechanical: Array = signal("W", "P_m", "motor force times velocity", shape="(axes,)")
     dissipated: Array = signal("W", "P_d", "friction and damping", shape="(axes,)")
-    load: Array = signal("W", "P_L", "work against external forces", shape="(axes,)")
+    load: Array = signal("W", "P_L", "work against all external forces", shape="(axes,)")
     drawn: Array = signal("W", "P", "what the mains sees", shape="(axes,)")
 
 
@@ -63,14 +63,20 @@ class Nearest:
 
     point: Array = signal("m", "c", "nearest point", shape="(axes,)", shown="mm")
     distance: Array = signal("m", "eps", "contour error", shown="um")
-    arc: Array = signal("m", "s", "arc length of the nearest point in the lap", shown="mm")
+    arc: Array = signal(
+        "m",
+        "s",
+        "arc length of the nearest point in the lap, or from the commanded one",
+        shown="mm",
+    )
+    reach: Array = signal("m", "", "arc length searched either side of the commanded point")
 
 
 @pytree
 class Start:
     """Where and how a run begins."""
 
-    offset: Array = param("m", "x0", "distance from the start of the path", shape="(axes,)")
+    offset: Array = param("m", "x0", "displacement from the start of the path", shape="(axes,)")
     velocity: Array = param(
         "1", "v0", "fraction of the reference velocity: 0 at rest, 1 matched", shape="(axes,)"
     )
@@ -103,7 +109,7 @@ class Sample:
     demand: Array = signal("1", "u_d", "what the controller asked for", shape="(axes,)")
     command: Array = signal("1", "u", "the demand within the limits of the drive", shape="(axes,)")
     applied: Array = signal("1", "u_a", "what reached the plant, after delay/lag", shape="(axes,)")
-    load: Array = signal("N", "F", "load force at the tick", shape="(axes,)")
+    load: Array = signal("N", "F", "force of the load block at the tick", shape="(axes,)")
     power: Power = part("mean power over the period")
 
 

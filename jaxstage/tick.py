@@ -20,7 +20,7 @@ def tick(loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry) ->
     """
     dtype = loop.plant.observe(scenario.plant, carry.state).position.dtype
     time = carry.step.astype(dtype) * loop.dt
-    sensor_key, load_key = jax.random.split(jax.random.fold_in(scenario.key, carry.step))
+    sensor_key, load_key = tick_keys(scenario, carry.step)
 
     with jax.named_scope("observe"):
         setpoint = loop.reference.sample(path, carry.step)
@@ -68,6 +68,11 @@ def tick(loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry) ->
         step=carry.step + 1,
     )
     return after, row
+
+
+def tick_keys(scenario: Scenario, step: Array) -> Array:
+    """The random keys of sensor and load at a tick."""
+    return jax.random.split(jax.random.fold_in(scenario.key, step))
 
 
 def substeps(

@@ -1,5 +1,6 @@
 """How many lanes run best together: measured once per loop and machine, then remembered."""
 
+import functools
 import hashlib
 import json
 import os
@@ -16,10 +17,10 @@ from jax.core import Tracer
 
 from jaxstage.runtime import cache_folder
 
-CANDIDATES = (32, 128, 512)
+CANDIDATES = (64, 256, 1024)
 TICKS = 200
 #: used where nothing can be measured (under a trace) and nothing is remembered
-DEFAULT = 128
+DEFAULT = 256
 
 
 def remembered_tile(
@@ -38,11 +39,18 @@ def remembered_tile(
     if any(isinstance(x, Tracer) for x in leaves):
         return DEFAULT
     key = _key(run, _lanes(leaves, batched, 2))
-    known = _read()
+    known = _measured_here() | _read()
     if key not in known:
         known[key] = _measure(run, leaves, batched, lanes)
+        _measured_here()[key] = known[key]
         _write(known)
     return known[key]
+
+
+@functools.cache
+def _measured_here() -> dict[str, int]:
+    """The tiles measured by this process, for those who keep no cache folder."""
+    return {}
 
 
 def _lanes(leaves: list[Array], batched: tuple[bool, ...], count: int) -> list[Array]:

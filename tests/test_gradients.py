@@ -11,6 +11,7 @@ from jaxstage.gradients import FORWARD_LIMIT, grad_check, kinks, select, value_a
 from jaxstage.metrics import contour
 from jaxstage.numerics.smooth import SmoothWidth, creeping, smooth
 from jaxstage.plants import pmsm_table
+from jaxstage.sensors import Encoder, encoder
 
 GAINS = ("c1", "r1", "sigma", "m", "eta")
 ALL = (*GAINS, "gains.weights")
@@ -80,8 +81,41 @@ def test_exact_forms(contour_name, capsys):
 def test_kinks_are_named_by_stage():
     loop, gains, scenario, path, _ = dfcmac("circle", False)
     names = dict(line.split(": ") for line in kinks(loop, gains, scenario, path))
-    assert "floor" in names["control"] and "sign" in names["control"]
-    assert "max" in names["plant"] and "min" in names["plant"]
+    assert names == {"control": "cell, sign, within", "plant": "clamp"}
+
+
+def test_a_lost_run_is_refused():
+    loop, gains, scenario, path, _ = dfcmac("circle", False)
+    gains = js.replace(gains, rate=jnp.full(2, 1e6))
+
+    def objective(gains, scenario):
+        return js.simulate(loop, gains, scenario, path, 2000).report.contour_rms
+
+    with pytest.raises(ValueError, match="the run was lost"):
+        grad_check(loop, gains, scenario, path, objective, ("c1",))
+
+
+def test_the_gradient_passes_an_encoder():
+    """Its staircase would cut the feedback; with the slope of its ramp the gradient is right."""
+    case = js.build("cascade-circle", js.Timing(lap_time=1.0, duration=0.5, scored=0))
+    loop = js.replace(case.loop, metric=contour, sensor=encoder)
+    gains = js.replace(
+        case.gains,
+        position_gain=jnp.full(2, 60.0),
+        velocity_gain=jnp.full(2, 400.0),
+        integral_gain=jnp.full(2, 1e4),
+    )
+    seen = Encoder(resolution=jnp.asarray(25e-9), bandwidth=jnp.asarray(500.0))
+    scenario = js.replace(case.scenario, sensor=seen)
+
+    def objective(gains, scenario):
+        run = js.simulate(loop, gains, scenario, case.path, case.window.ticks)
+        return run.report.contour_rms * 1e6
+
+    found = grad_check(loop, gains, scenario, case.path, objective, ("k_p", "k_s"), step=1e-2)
+    assert found.mode_error() < 1e-8
+    assert found.difference_error() < 0.02
+    assert "quantise" in dict(line.split(": ") for line in found.kinks)["sense"]
 
 
 def test_the_text_of_a_check_holds_every_parameter():

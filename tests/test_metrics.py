@@ -37,7 +37,10 @@ def samples(error, command=None, velocity=None, distance=None, power=None, deman
     nothing = js.Power(copper=zero, mechanical=zero, dissipated=zero, load=zero, drawn=zero)
     sample = js.Sample(
         step=np.arange(count), time=np.arange(count) * DT, setpoint=setpoint, output=output,
-        nearest=js.Nearest(point=zero, distance=distance, arc=np.zeros(count)), between=output,
+        nearest=js.Nearest(
+            point=zero, distance=distance, arc=np.zeros(count), reach=np.full(count, 1.0)
+        ),
+        between=output,
         measurement=seen, memory=(), demand=command if demand is None else demand,
         command=command, applied=command, load=zero, power=power or nothing,
     )  # fmt: skip

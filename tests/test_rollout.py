@@ -223,7 +223,7 @@ def test_what_no_metric_reads_vanishes_from_the_compiled_loop():
         c.loop,
         reference=js.replace(
             c.loop.reference,
-            nearest=lambda *_: js.Nearest(point=zero, distance=zero[0], arc=zero[0]),
+            nearest=lambda *_: js.Nearest(point=zero, distance=zero[0], arc=zero[0], reach=zero[0]),
         ),
         plant=js.replace(
             c.loop.plant,

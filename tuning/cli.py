@@ -1,4 +1,4 @@
-"""The command line: ``jaxstage list``, ``jaxstage run LOOP``."""
+"""The command line: ``jaxstage list``, ``run LOOP``, ``precision``, ``doctor``."""
 
 import json
 import os
@@ -53,10 +53,10 @@ def list_loops() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from jaxstage.studies import studies
+    from jaxstage.studies import all_studies
 
     console = Console()
-    for study in studies:
+    for study in all_studies:
         console.print(f"[bold]{study.name}[/bold]  {study.title}", highlight=False)
         console.print(f"  {study.source}", highlight=False)
         table = Table(box=None, show_header=False, padding=(0, 2))
@@ -136,9 +136,8 @@ def precision(
     import tomli_w
 
     from jaxstage.runtime import configure
-    from jaxstage.studies import build, loop_names
+    from jaxstage.studies import build, find, loop_names
     from jaxstage.studies.precision import compare_precision
-    from tuning.runs import find
 
     configure(precision="double", cache="default")
     for name in loops or []:

@@ -8,13 +8,6 @@ from rich.table import Table
 from jaxstage.metrics.table import split_key
 
 
-def scored_text(result: dict[str, Any]) -> str:
-    """What the figures cover."""
-    if result["scored"] == 0:
-        return "whole run"
-    return f"lap {result['scored']} of {result['laps']:g}"
-
-
 def show(title: str, result: dict[str, Any]) -> None:
     """Print verdict and figures: per axis where they exist, scored window and whole run."""
     console = Console(highlight=False)
@@ -28,7 +21,7 @@ def show(title: str, result: dict[str, Any]) -> None:
         return
     table = Table(box=None, padding=(0, 2))
     table.add_column("figure")
-    table.add_column(scored_text(result), justify="right")
+    table.add_column("scored", justify="right")
     table.add_column("whole run", justify="right")
     table.add_column("unit")
     for key, value in result["metrics"].items():

@@ -26,6 +26,12 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
     double = case.path.setpoint.position.dtype == "float64"
     scored = columns(run.report["scored"], axes)
     lost = broken if left is None else left
+    beyond = scored["contour_beyond_share"]
+    if beyond:
+        notes += (
+            f"in {beyond:.1%} of the ticks the following error exceeds the part of the curve that "
+            "is searched for the nearest point; there the contour error is an upper bound",
+        )
     return {
         "loop": case.name,
         "version": __version__,

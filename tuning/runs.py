@@ -13,7 +13,7 @@ from jaxstage import settings
 from jaxstage.check import check
 from jaxstage.fields import replace
 from jaxstage.metrics import record, together
-from jaxstage.studies import Case, NamedLoop, Timing, studies, with_metric
+from jaxstage.studies import Case, Timing, all_studies, find, with_metric
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
 from tuning.results import summary, write_settings
 
@@ -31,19 +31,10 @@ class Prepared(NamedTuple):
     notes: tuple[str, ...]
 
 
-def find(name: str) -> NamedLoop:
-    """The loop called ``name``. Raises ValueError with the nearest known name."""
-    entries = {entry.name: entry for study in studies for entry in study.loops}
-    if name not in entries:
-        hint = settings.nearest_name(name, entries)
-        raise ValueError(f"unknown loop '{name}'{hint} `jaxstage list` shows all")
-    return entries[name]
-
-
 def refuse_rough(name: str) -> None:
     """Raise ValueError for a loop whose figures are off by over 1 % in single precision."""
     find(name)
-    for study in studies:
+    for study in all_studies:
         table = stored_precision(study.name)
         if name in table:
             figure, difference = worst(table[name])
@@ -178,10 +169,14 @@ def _notes(published: Case, case: Case, paths: tuple[str, ...]) -> tuple[str, ..
     for path in changed:
         root, _, field = path.partition(".")
         assumed = next((p for p in known if p.endswith(f"nominal.{field}")), None)
-        if root == "plant" and assumed and assumed not in paths:
+        if root != "plant" or assumed in paths:
+            continue
+        if assumed:
             value = ", ".join(f"{v:g}" for v in known[assumed][1])
             notes.append(
                 f"{path} changed; the controller still assumes nominal.{field} = {value} "
                 f"(set nominal.{field}=... to change that)"
             )
+        else:
+            notes.append(f"{path} changed; what the controller assumes has not changed")
     return tuple(notes)

@@ -1,14 +1,14 @@
 """The industrial baseline: P position loop around a PI velocity loop, with feed-forward.
 
     v_ref = k_p e + k_v r',   e_v = v_ref - y',   I <- I + e_v dt
-    u = [ k_s e_v + k_i I + k_a r'' ] / b + k_f [ B r' + F_c tanh(r'/w) + F_L ] / K_t
+    u = [ k_s e_v + k_i I + k_a r'' ] / b + { k_f [ B r' + F_c tanh(r'/w) ] + k_l F_L } / K_t
 
 | symbol | field | unit |
 |---|---|---|
 | k_p | position_gain ("Kv factor") | 1/s |
 | k_s | velocity_gain | 1/s |
 | k_i | integral_gain | 1/s2 |
-| k_v, k_a, k_f | velocity, acceleration, friction feed-forward: 0 off, 1 full | 1 |
+| k_v, k_a, k_f, k_l | velocity, acceleration, friction, load feed-forward: 0 off, 1 full | 1 |
 | w | friction_width | m/s |
 
 Anti-windup by back-calculation: what the drive cuts off is taken out of I. By hand, inner loop
@@ -35,6 +35,7 @@ class Cascade:
     velocity_feedforward: Array = gain("1", "k_v", "velocity feed-forward", low=0.0)
     acceleration_feedforward: Array = gain("1", "k_a", "acceleration feed-forward", low=0.0)
     friction_feedforward: Array = gain("1", "k_f", "friction feed-forward", low=0.0)
+    load_feedforward: Array = gain("1", "k_l", "constant load, e.g. weight", low=0.0)
     friction_width: Array = gain(
         "m/s", "w", "speed over which the friction is blended in", above=0.0, shown="mm/s"
     )
@@ -66,9 +67,9 @@ def _control(
         + gains.acceleration_feedforward * setpoint.acceleration
     )
     dry = axis.coulomb * jnp.tanh(setpoint.velocity / gains.friction_width)
-    resistance = axis.damping * setpoint.velocity + dry + axis.load
-    friction = gains.friction_feedforward * resistance / axis.force_constant
-    return acceleration / authority(axis) + friction, CascadeMemory(integral=integral)
+    resistance = gains.friction_feedforward * (axis.damping * setpoint.velocity + dry)
+    known = (resistance + gains.load_feedforward * axis.load) / axis.force_constant
+    return acceleration / authority(axis) + known, CascadeMemory(integral=integral)
 
 
 def _settle(

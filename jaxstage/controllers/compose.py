@@ -10,10 +10,11 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.blocks import Controller
-from jaxstage.fields import known, part, pytree, replace
+from jaxstage.fields import Quantity, known, map_leaves, part, pytree, replace
 from jaxstage.signals import Measurement, Setpoint
 
 #: which parts of a Setpoint belong to one axis
@@ -22,13 +23,37 @@ _PER_AXIS = Setpoint(position=0, velocity=0, acceleration=0, tangent=0, curvatur
 
 @functools.cache
 def per_axis(law: Controller) -> Controller:
-    """The same law on every axis, each with its own gains: leaves of the gains are (axes, ...)."""
-    return Controller(
-        name=law.name,
-        init=jax.vmap(law.init, in_axes=(0, _PER_AXIS, 0)),
-        control=jax.vmap(law.control, in_axes=(0, 0, _PER_AXIS, 0, None)),
-        settle=jax.vmap(law.settle, in_axes=(0, 0, 0, 0, None)),
-    )
+    """The same law on every axis, each with its own gains: leaves of the gains are (axes, ...).
+
+    A gain given once, in its shape for one axis, holds for all axes.
+    """
+    init = jax.vmap(law.init, in_axes=(0, _PER_AXIS, 0))
+    control = jax.vmap(law.control, in_axes=(0, 0, _PER_AXIS, 0, None))
+    settle = jax.vmap(law.settle, in_axes=(0, 0, 0, 0, None))
+
+    def init_all(gains: Any, setpoint: Setpoint, measurement: Measurement) -> Any:
+        return init(_on_axes(gains, setpoint.position.shape[0]), setpoint, measurement)
+
+    def control_all(
+        gains: Any, memory: Any, setpoint: Setpoint, measurement: Measurement, dt: float
+    ) -> tuple[Array, Any]:
+        spread = _on_axes(gains, setpoint.position.shape[0])
+        return control(spread, memory, setpoint, measurement, dt)
+
+    def settle_all(gains: Any, memory: Any, demand: Array, command: Array, dt: float) -> Any:
+        return settle(_on_axes(gains, demand.shape[0]), memory, demand, command, dt)
+
+    return Controller(name=law.name, init=init_all, control=control_all, settle=settle_all)
+
+
+def _on_axes(gains: Any, axes: int) -> Any:
+    """Gains with a leading (axes,) on every leaf that has the shape of one axis."""
+
+    def spread(quantity: Quantity, value: Array) -> Array:
+        rank = quantity.shape.count(",") + 1 if quantity.shape.strip("()") else 0
+        return jnp.broadcast_to(value, (axes, *value.shape)) if value.ndim == rank else value
+
+    return map_leaves(spread, gains)
 
 
 @pytree
@@ -43,10 +68,11 @@ class Both:
 def plus(law: Controller, extra: Controller) -> Controller:
     """u = u_law + u_extra: feed-forward, or a disturbance observer, around any law.
 
-    gains: `Both`. An observer is a law whose demand is minus its estimate, in command units, and
-    whose `settle` hears the total command.
+    gains: `Both`. An observer is a law whose demand is what cancels its estimate, in command
+    units, and whose ``settle`` hears the total command. Each law hears the whole cut
+    (command - demand), so two integrators with anti-windup leave a limit faster than one.
     """
-    return _summed(f"{law.name} + {extra.name}", law, extra, lambda gains, demand: demand)
+    return _summed(f"{law.name} + {extra.name}", law, extra, lambda gains: 1.0)
 
 
 @pytree
@@ -65,19 +91,22 @@ def cross_coupled(axis: Controller, contour: Controller) -> Controller:
     """u = u_axis + U / a_n: the contour law demands an acceleration U (axes,) in m/s2.
 
     gains: `Coupled`, whose nominal command per acceleration lets any law be wrapped and makes
-    unequal axes answer in the direction of U.
+    unequal axes answer in the direction of U. The contour law's ``settle`` hears the totals in its
+    own unit, m/s2.
     """
     return _summed(
         f"cross_coupled[{axis.name}, {contour.name}]",
         axis,
         contour,
-        lambda gains, acceleration: gains.command_per_acceleration * acceleration,
+        lambda gains: gains.command_per_acceleration,
     )
 
 
 def _summed(
-    name: str, law: Controller, extra: Controller, scaled: Callable[[Any, Array], Array]
+    name: str, law: Controller, extra: Controller, unit: Callable[[Any], Array | float]
 ) -> Controller:
+    """``unit(gains)``: command units in one unit of the extra law, both ways."""
+
     def init(gains: Any, setpoint: Setpoint, measurement: Measurement) -> Both:
         return Both(
             law=law.init(gains.law, setpoint, measurement),
@@ -89,12 +118,14 @@ def _summed(
     ) -> tuple[Array, Both]:
         first, kept = law.control(gains.law, memory.law, setpoint, measurement, dt)
         second, added = extra.control(gains.extra, memory.extra, setpoint, measurement, dt)
-        return first + scaled(gains, second), Both(law=kept, extra=added)
+        return first + unit(gains) * second, Both(law=kept, extra=added)
 
     def settle(gains: Any, memory: Both, demand: Array, command: Array, dt: float) -> Both:
         return Both(
             law=law.settle(gains.law, memory.law, demand, command, dt),
-            extra=extra.settle(gains.extra, memory.extra, demand, command, dt),
+            extra=extra.settle(
+                gains.extra, memory.extra, demand / unit(gains), command / unit(gains), dt
+            ),
         )
 
     return Controller(name=name, init=init, control=control, settle=settle)

@@ -3,7 +3,7 @@
 from jax import Array
 
 from jaxstage.blocks import Metric
-from jaxstage.fields import pytree, signal
+from jaxstage.fields import part, pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
 from jaxstage.metrics.tracking import following_error
@@ -13,11 +13,26 @@ from jaxstage.signals import Sample, Setpoint
 
 @pytree
 class Contour:
-    """True contour error: distance to the nearest point of the curve on the local branch."""
+    """True contour error: distance to the nearest point of the curve on the local branch.
+
+    Where the following error exceeds the arc length searched (the reference's window) the nearest
+    point may lie outside of it, and the distance found is an upper bound.
+    """
 
     contour_rms: Array = signal("m", "", "RMS", shown="um")
     contour_mean: Array = signal("m", "", "mean", shown="um")
     contour_max: Array = signal("m", "", "largest", shown="um")
+    contour_beyond_share: Array = signal(
+        "1", "", "share of ticks with a following error beyond the arc length searched"
+    )
+
+
+@pytree
+class ContourSums:
+    """Moments of the contour error, and of being beyond the search."""
+
+    error: Moments = part("moments of the contour error")
+    beyond: Moments = part("moments of 1 where the following error is beyond the search")
 
 
 @pytree
@@ -29,20 +44,30 @@ class TangentContour:
     contour_tangent_max: Array = signal("m", "", "largest", shown="um")
 
 
-def _init(setpoint: Setpoint) -> Moments:
-    return moments.empty(setpoint.position[0])
+def _init(setpoint: Setpoint) -> ContourSums:
+    none = moments.empty(setpoint.position[0])
+    return ContourSums(error=none, beyond=none)
 
 
-def _update(acc: Moments, sample: Sample, dt: float) -> tuple[Moments, None]:
-    return moments.add(acc, sample.nearest.distance), None
+def _update(acc: ContourSums, sample: Sample, dt: float) -> tuple[ContourSums, None]:
+    beyond = norm(following_error(sample)) > sample.nearest.reach
+    return ContourSums(
+        error=moments.add(acc.error, sample.nearest.distance),
+        beyond=moments.add(acc.beyond, beyond.astype(sample.nearest.distance.dtype)),
+    ), None
 
 
-def _finish(acc: Moments) -> Contour:
+def _finish(acc: ContourSums) -> Contour:
     return Contour(
-        contour_rms=moments.root(moments.mean_square(acc)),
-        contour_mean=moments.mean(acc),
-        contour_max=moments.largest(acc),
+        contour_rms=moments.root(moments.mean_square(acc.error)),
+        contour_mean=moments.mean(acc.error),
+        contour_max=moments.largest(acc.error),
+        contour_beyond_share=moments.mean(acc.beyond),
     )
+
+
+def _tangent_init(setpoint: Setpoint) -> Moments:
+    return moments.empty(setpoint.position[0])
 
 
 def _tangent_update(acc: Moments, sample: Sample, dt: float) -> tuple[Moments, None]:
@@ -63,5 +88,5 @@ contour = Metric(name="contour", init=_init, update=_update, finish=_finish)
 
 #: The tangent estimate |e - (e.t) t|; report `TangentContour`.
 tangent_contour = Metric(
-    name="tangent_contour", init=_init, update=_tangent_update, finish=_tangent_finish
+    name="tangent_contour", init=_tangent_init, update=_tangent_update, finish=_tangent_finish
 )

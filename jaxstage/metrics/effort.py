@@ -9,6 +9,7 @@ from jaxstage.blocks import Metric
 from jaxstage.fields import part, pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
+from jaxstage.numerics.filters import low_pass_weight
 from jaxstage.signals import Sample, Setpoint
 
 
@@ -40,7 +41,8 @@ def effort(cutoff: float = 100.0) -> Metric:
     """Variance, total variation and chattering of the command.
 
     Chattering is the RMS of u - LP(u), a first-order high-pass at ``cutoff`` Hz that starts
-    settled; a smooth command leaves next to nothing there.
+    settled; a smooth command leaves next to nothing there. It is NaN where the cutoff is not below
+    half the sampling rate.
     """
 
     def init(setpoint: Setpoint) -> EffortSums:
@@ -54,12 +56,12 @@ def effort(cutoff: float = 100.0) -> Metric:
     def update(acc: EffortSums, sample: Sample, dt: float) -> tuple[EffortSums, None]:
         u = sample.command
         first = acc.command.count == 0
-        weight = -jnp.expm1(jnp.asarray(-2 * jnp.pi * cutoff * dt, u.dtype))
+        weight = low_pass_weight(jnp.asarray(cutoff, u.dtype), dt)
         slow = jnp.where(first, u, acc.slow + weight * (u - acc.slow))
         change = jnp.where(first, jnp.zeros_like(u), jnp.abs(u - acc.last))
         return EffortSums(
             command=moments.add(acc.command, u),
-            high=moments.add(acc.high, u - slow),
+            high=moments.add(acc.high, u - slow) if cutoff < 0.5 / dt else acc.high,
             last=u,
             slow=slow,
             variation=acc.variation + change,

@@ -73,6 +73,15 @@ def _following_finish(acc: Moments) -> Following:
     )
 
 
+def direction(velocity: Array) -> Array:
+    """Sign of each axis velocity, 0 below 1e-9 of the feed: rounding is not motion.
+
+    velocity: (..., axes) m/s.
+    """
+    feed = norm(velocity)[..., None]
+    return jnp.where(jnp.abs(velocity) > 1e-9 * feed, jnp.sign(velocity), jnp.zeros_like(velocity))
+
+
 @pytree
 class QuadrantGlitch:
     """Peak following error of an axis after each reversal of its commanded velocity."""
@@ -111,7 +120,7 @@ def quadrant_glitch(span: float = 0.1) -> Metric:
         )
 
     def update(acc: GlitchSums, sample: Sample, dt: float) -> tuple[GlitchSums, None]:
-        heading = jnp.sign(sample.setpoint.velocity)
+        heading = direction(sample.setpoint.velocity)
         unknown = acc.direction == 2
         turned = ~unknown & (heading != 0) & (heading != acc.direction)
         elapsed = jnp.where(turned, jnp.zeros_like(acc.elapsed), acc.elapsed + dt)

@@ -7,15 +7,20 @@ w in [-1, 1]. Its three forms are interchangeable and carry their width as a gai
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.fields import definition, gain, pytree
 
+#: prefix of the scopes that name the kinks of a compiled loop, see `gradients.kinks`
+KINK = "kink_"
+
 
 def positive(x: Array) -> Array:
     """max(x, 0)."""
-    return jnp.maximum(x, jnp.zeros_like(x))
+    with jax.named_scope(KINK + "positive"):
+        return jnp.maximum(x, jnp.zeros_like(x))
 
 
 def clamp(x: Array, limit: Array) -> Array:
@@ -24,7 +29,28 @@ def clamp(x: Array, limit: Array) -> Array:
     With limit 0 it is 0 with derivative 0 everywhere, x = 0 included: no friction and no
     backlash are transparent to a gradient too. (`jnp.clip` shares a tie between its branches.)
     """
-    return jnp.where(x >= limit, limit, jnp.where(x <= -limit, -limit, x))
+    with jax.named_scope(KINK + "clamp"):
+        return jnp.where(x >= limit, limit, jnp.where(x <= -limit, -limit, x))
+
+
+@jax.custom_jvp
+def quantise(x: Array, step: Array) -> Array:
+    """step * floor(x / step + 1/2), round half up; a step of 0 leaves x.
+
+    Its derivative is that of x: a staircase that is followed closely has the slope of its ramp,
+    and the true derivative, 0, would cut the feedback of every loop with an encoder.
+    """
+    with jax.named_scope(KINK + "quantise"):
+        safe = jnp.where(step > 0, step, jnp.ones_like(step))
+        return jnp.where(step > 0, safe * jnp.floor(x / safe + 0.5), x)
+
+
+@quantise.defjvp
+def _quantise_jvp(
+    primals: tuple[Array, Array], tangents: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    value = quantise(*primals)
+    return value, jnp.broadcast_to(tangents[0], value.shape)
 
 
 @definition
@@ -63,7 +89,14 @@ def play(state: Array, value: Array, half_width: Array) -> Array:
 def cell(coordinate: Array, cells: int) -> Array:
     """Index of the unit cell that holds the coordinate, clip(floor z, 0, cells - 1)."""
     # clipped before the cast: the compiled engine then knows the range of the index
-    return jnp.clip(jnp.floor(coordinate), 0, cells - 1).astype(jnp.int32)
+    with jax.named_scope(KINK + "cell"):
+        return jnp.clip(jnp.floor(coordinate), 0, cells - 1).astype(jnp.int32)
+
+
+def within(x: Array, low: float, high: float) -> Array:
+    """clip(x, low, high): an input kept on its grid."""
+    with jax.named_scope(KINK + "within"):
+        return jnp.clip(x, low, high)
 
 
 @definition
@@ -79,7 +112,8 @@ class Switch:
 
 
 def _exact(params: tuple[()], surface: Array, reach: Array) -> Array:
-    return jnp.sign(surface)
+    with jax.named_scope(KINK + "sign"):
+        return jnp.sign(surface)
 
 
 @pytree
@@ -105,7 +139,8 @@ class Layer:
 def _implicit(params: Layer, surface: Array, reach: Array) -> Array:
     width = params.layer * reach
     safe = jnp.where(width > 0, width, jnp.ones_like(width))
-    return jnp.where(width > 0, jnp.clip(surface / safe, -1, 1), jnp.sign(surface))
+    with jax.named_scope(KINK + "layer"):
+        return jnp.where(width > 0, jnp.clip(surface / safe, -1, 1), jnp.sign(surface))
 
 
 #: w = sgn s, with sgn 0 = 0; params ``()``. Its gradient is zero.

@@ -37,6 +37,7 @@ def analytic(name: str, position: Position, dt: float) -> Reference:
         name=name,
         sample=partial(_analytic_sample, position, dt),
         nearest=partial(_analytic_nearest, position, dt),
+        period=lambda params: dt,
     )
 
 
@@ -63,7 +64,9 @@ def _analytic_nearest(
     point = position(params, time)
     speed = jax.vmap(lambda t: norm(_motion(position, params, t)[1]))
     arc = _quadrature(speed, begin, time)
-    return Nearest(point=point, distance=norm(tool - point), arc=arc)
+    return Nearest(
+        point=point, distance=norm(tool - point), arc=arc, reach=jnp.full_like(arc, jnp.inf)
+    )
 
 
 def _time(params: Any, tick: Array, dt: float) -> Array:
@@ -105,6 +108,7 @@ def nurbs_lap(ticks_per_lap: int, dt: float) -> Reference:
         name="nurbs_lap",
         sample=partial(_lap_sample, ticks_per_lap, dt),
         nearest=partial(_lap_nearest, ticks_per_lap),
+        period=lambda curve: dt,
     )
 
 
@@ -149,7 +153,10 @@ def _lap_nearest(count: int, curve: Nurbs, tick: Array, tool: Array) -> Nearest:
     start = jnp.stack([u, knots[before + 1], knots[after]])
     point, distance, u = jax.vmap(partial(_in_one_span, curve, tool))(span, start)
     best = jnp.argmin(distance)
-    return Nearest(point=point[best], distance=distance[best], arc=_lap_arc(curve, u[best]))
+    arc = _lap_arc(curve, u[best])
+    return Nearest(
+        point=point[best], distance=distance[best], arc=arc, reach=jnp.full_like(arc, jnp.inf)
+    )
 
 
 def _in_one_span(

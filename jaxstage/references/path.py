@@ -15,7 +15,7 @@ from jax import Array
 from numpy.typing import DTypeLike
 
 from jaxstage.blocks import Reference
-from jaxstage.fields import part, pytree, signal
+from jaxstage.fields import part, pytree, replace, signal
 from jaxstage.numerics.geometry import norm, projection_step
 from jaxstage.references.arc import arc_at, arc_table, as_double, host_frame, spans
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
@@ -26,7 +26,7 @@ from jaxstage.references.segments import (
     lap_segments,
     smooth_pieces,
 )
-from jaxstage.references.timing import Ticks, Timing
+from jaxstage.references.timing import LapTiming, Ticks
 from jaxstage.signals import Nearest, Setpoint
 
 STEPS = 3  # Newton steps of the nearest point: exact for errors below 1 mm on these contours
@@ -48,7 +48,7 @@ class Path:
 
 
 def make_path(
-    curve: Nurbs, timing: Timing, dtype: DTypeLike | None = None, window: float = WINDOW
+    curve: Nurbs, timing: LapTiming, dtype: DTypeLike | None = None, window: float = WINDOW
 ) -> Path:
     """Sample one lap, in double precision on the host, then cast.
 
@@ -122,8 +122,15 @@ def nearest(path: Path, tick: Array, position: Array) -> Nearest:
         return best
 
     if base.shape[0] == 1:
-        return of(0)
-    return jax.lax.cond(_row(path.seats.corner, row), of_all, lambda: of(0))
+        found = of(0)
+    else:
+        found = jax.lax.cond(_row(path.seats.corner, row), of_all, lambda: of(0))
+    return replace(found, reach=path.window)
+
+
+def period(path: Path) -> Array:
+    """Time between two ticks in s."""
+    return path.lap_time / path.seats.corner.shape[0]
 
 
 def _row(x: Array, row: Array) -> Array:
@@ -165,7 +172,8 @@ def _on_piece(
         distance=norm((position - c[0]) - along),
         arc=segments.arc.at[index].get(mode="clip")
         + f * segments.length.at[index].get(mode="clip"),
+        reach=jnp.full_like(position[0], jnp.inf),
     )
 
 
-sampled = Reference(name="sampled", sample=sample, nearest=nearest)
+sampled = Reference(name="sampled", sample=sample, nearest=nearest, period=period)

@@ -27,7 +27,7 @@ class Ticks:
 
 
 #: turns a float64 curve and its arc table into the ticks of one lap
-Timing = Callable[[Nurbs, ArcTable], Ticks]
+LapTiming = Callable[[Nurbs, ArcTable], Ticks]
 
 
 def _positive(name: str, value: float, unit: str) -> None:
@@ -35,7 +35,7 @@ def _positive(name: str, value: float, unit: str) -> None:
         raise ValueError(f"{name} must be finite and > 0 {unit}; got {value!r}")
 
 
-def uniform_parameter(lap_time: float, dt: float) -> Timing:
+def uniform_parameter(lap_time: float, dt: float) -> LapTiming:
     """u_k = u_0 + (u_end - u_0) (k mod n)/n, u' = (u_end - u_0)/(n dt), n = round(T/dt).
 
     lap_time: s, T. dt: s. Both finite and > 0, T >= dt, else ValueError.
@@ -61,7 +61,7 @@ def uniform_parameter(lap_time: float, dt: float) -> Timing:
     return timing
 
 
-def constant_feed(feed: float, dt: float) -> Timing:
+def constant_feed(feed: float, dt: float) -> LapTiming:
     """s_k = L (k mod n)/n, u' = v/|C'|, u'' = -v^2 (C' . C'')/|C'|^4, n = round(L/(feed dt)).
 
     feed: mm/min, adjusted to v = L/(n dt) so that the lap is a whole number of ticks (see
@@ -92,7 +92,7 @@ def constant_feed(feed: float, dt: float) -> Timing:
     return timing
 
 
-def ticks(curve: Nurbs, timing: Timing) -> Ticks:
+def ticks(curve: Nurbs, timing: LapTiming) -> Ticks:
     """The ticks of one lap of a curve."""
     curve = as_double(curve)
     return timing(curve, arc_table(curve))

@@ -1,25 +1,34 @@
 """The published systems: their loops, values and timing."""
 
+from jaxstage.settings import nearest_name
+from jaxstage.studies import fuzzy_cmac as fuzzy_cmac
 from jaxstage.studies.case import Case as Case
 from jaxstage.studies.case import NamedLoop as NamedLoop
 from jaxstage.studies.case import Study as Study
 from jaxstage.studies.case import Timing as Timing
 from jaxstage.studies.case import with_metric as with_metric
-from jaxstage.studies.fuzzy_cmac import study as fuzzy_cmac
 
 #: All studies.
-studies: tuple[Study, ...] = (fuzzy_cmac,)
+all_studies: tuple[Study, ...] = (fuzzy_cmac.study,)
 
 
 def loop_names() -> tuple[str, ...]:
     """The names of all loops of all studies."""
-    return tuple(entry.name for study in studies for entry in study.loops)
+    return tuple(entry.name for study in all_studies for entry in study.loops)
+
+
+def find(name: str) -> NamedLoop:
+    """The loop called ``name``. Raises ValueError with the nearest known name."""
+    entries = {entry.name: entry for study in all_studies for entry in study.loops}
+    if name not in entries:
+        hint = nearest_name(name, entries)
+        raise ValueError(f"unknown loop '{name}'{hint} (`jaxstage list` shows all)")
+    return entries[name]
 
 
 def build(name: str, timing: Timing | None = None) -> Case:
-    """The loop called ``name``, e.g. ``dfcmac-circle``. Raises KeyError for an unknown name."""
-    for study in studies:
-        for entry in study.loops:
-            if entry.name == name:
-                return entry.build(timing or Timing())
-    raise KeyError(name)
+    """The loop called ``name``, e.g. ``dfcmac-circle``.
+
+    Raises ValueError for an unknown name and for impossible timing.
+    """
+    return find(name).build(timing or Timing())

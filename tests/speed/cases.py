@@ -18,7 +18,12 @@ from jaxstage.signals import Scenario, Start
 DT = 1e-4
 LAWS = ("dfcmac", "sliding")
 _PLANT: Any = Scenario(
-    plant=0, load=None, sensor=None, drive=None, start=None, key=None  # type: ignore[arg-type]
+    plant=0,
+    load=None,
+    sensor=None,
+    drive=None,
+    start=None,
+    key=None,  # type: ignore[arg-type]
 )
 #: batch axes of (gains, scenario, path) for `rollouts`
 SHARED_PATH = (0, _PLANT, None)

@@ -20,7 +20,7 @@ from .timing import Times
 def _commanded(path: Any, step: Any, position: Any) -> Nearest:
     """No search: what costs nothing."""
     zero = jnp.zeros_like(position[0])
-    return Nearest(point=position, distance=zero, arc=zero)
+    return Nearest(point=position, distance=zero, arc=zero, reach=zero)
 
 
 def _without_nearest(work: Work) -> Work:

@@ -18,7 +18,7 @@ import numpy as np
 from jax import Array
 
 from jaxstage.fields import definition, gain, pytree
-from jaxstage.numerics.smooth import cell
+from jaxstage.numerics.smooth import cell, within
 
 INTERVALS = 9
 LAYERS = 4
@@ -28,7 +28,7 @@ SHAPE = (LAYERS, BLOCKS, BLOCKS)
 
 def coordinate(value: Array, width: Array) -> Array:
     """z = clip(value / W + 4.5, 0, 9): an input in interval widths, 0 in the middle cell."""
-    return jnp.clip(value / width + INTERVALS / 2, 0, INTERVALS)
+    return within(value / width + INTERVALS / 2, 0, INTERVALS)
 
 
 def blocks(z: Array) -> tuple[Array, Array]:

@@ -143,6 +143,7 @@ def cascade_gains() -> Cascade:
         velocity_feedforward=_xy(1.0),
         acceleration_feedforward=_xy(1.0),
         friction_feedforward=_xy(1.0),
+        load_feedforward=_xy(1.0),
         friction_width=_xy(1e-4),
         nominal=nominal(),
     )
