@@ -5,6 +5,7 @@ forward mode and central differences side by side for each parameter, and names 
 loop holds.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -205,11 +206,17 @@ def kinks(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> tuple[str, .
 def _collect(jaxpr: Any, outer: str, found: dict[str, set[str]]) -> None:
     for equation in jaxpr.eqns:
         scope = f"{outer}/{equation.source_info.name_stack}"
-        parts = scope.split("/")
+        parts = re.findall(r"\w+", scope)  # scopes under vmap read vmap(name)
         stage = next((s for s in parts if s in _STAGES), None)
         named = [p.removeprefix(KINK) for p in parts if p.startswith(KINK)]
         floating = any(jnp.issubdtype(v.aval.dtype, jnp.floating) for v in equation.outvars)
-        if stage and floating and (named or equation.primitive.name in _KINKED):
+        # the ledger reads the motion and does not change it
+        if (
+            stage
+            and "ledger" not in parts
+            and floating
+            and (named or equation.primitive.name in _KINKED)
+        ):
             found.setdefault(stage, set()).add(named[0] if named else equation.primitive.name)
         for inner in jax.tree.leaves(
             list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")

@@ -94,7 +94,8 @@ def substeps(
             return loop.load.force(scenario.load, begin + fraction * h, key, output)
 
         after = loop.plant.step(scenario.plant, before, applied, force, h)
-        power = loop.plant.power(scenario.plant, before, after, applied, force, h)
+        with jax.named_scope("ledger"):
+            power = loop.plant.power(scenario.plant, before, after, applied, force, h)
         return after, (loop.plant.observe(scenario.plant, after), power)
 
     state, (between, powers) = lax.scan(

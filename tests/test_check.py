@@ -150,7 +150,7 @@ def test_ranges_of_the_specification(path, allowed):
         ("plant.mass", (2, 1), "plant.mass has shape (2, 1), expected (2,)"),
         ("gains.slope", (3,), "gains.slope has shape (3,), expected () or (2,)"),
         ("gains.weights", (2, 36), "gains.weights has shape (2, 36), expected (4, 3, 3) or (2, 4"),
-        ("sensor.resolution", (2,), "sensor.resolution has shape (2,), expected ()"),
+        ("sensor.resolution", (3,), "sensor.resolution has shape (3,), expected () or (2,)"),
         ("start.offset", (0,), "start.offset has shape (0,), expected (2,)"),
     ],
 )
@@ -203,9 +203,14 @@ def test_a_run_needs_ticks(ticks):
 
 
 @pytest.mark.fast
-def test_a_path_without_numbers():
-    with pytest.raises(ValueError, match="no floating-point array"):
-        check(LOOP, GAINS, SCENE, ())
+def test_the_period_of_the_path_is_that_of_the_loop():
+    with pytest.raises(ValueError, match=r"loop.dt = .* s, but the path has a tick every"):
+        check(replace(LOOP, dt=2 * LOOP.dt), GAINS, SCENE, PATH)
+
+
+def test_a_key_of_the_old_kind_is_refused():
+    with pytest.raises(ValueError, match=r"scenario.key must be a key of jax.random.key"):
+        check(LOOP, GAINS, replace(SCENE, key=jax.random.PRNGKey(0)), PATH)
 
 
 # --- timing ----------------------------------------------------------------------------------
@@ -316,11 +321,11 @@ def test_a_traced_delay_is_clipped_not_refused():
     np.testing.assert_array_equal(jax.vmap(late)(jnp.asarray([0.0, 2.0, 9.0]))[:, 0], [4, 2, 2])
 
 
-def test_the_analytic_reference_needs_a_parameter():
-    """The precision of a run is that of its path, so a path is at least one number."""
+def test_a_path_without_numbers_takes_the_default_precision():
+    """The precision of a run is that of its path; without one it is JAX's."""
     fixed = replace(LOOP, reference=analytic("fixed", _fixed, DT))
-    with pytest.raises(ValueError, match="no floating-point array"):
-        check(fixed, GAINS, SCENE, ())
+    gains, _, _ = check(fixed, GAINS, SCENE, ())
+    assert {x.dtype for x in jax.tree.leaves(gains)} == {jnp.zeros(()).dtype}
 
 
 def _fixed(params, time):

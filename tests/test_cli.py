@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +15,7 @@ from tuning import cli
 
 ROOT = Path(__file__).parent.parent
 #: a run of 200 ticks: one compilation serves all tests with the same loop
-SHORT = ("--set", "lap_time=0.02", "--set", "laps=1", "--set", "scored=0")
+SHORT = ("--set", "lap_time=0.5", "--set", "laps=1", "--set", "scored=0")
 
 SHORT_LAP = SHORT[:2]
 
@@ -29,6 +28,7 @@ SCHEMA = {
     "lap_time_s": float,
     "laps": int,
     "scored": int,
+    "verdict": str,
     "finite": bool,
     "left_path_at": type(None),
     "non_finite_at": type(None),
@@ -59,7 +59,7 @@ def strict_json(text):
 
 
 @pytest.fixture
-def jaxstage(monkeypatch, capsys, tmp_path):
+def jaxstage(monkeypatch, capsys, tmp_path, tmp_path_factory):
     """Call the command line in this process, in an empty folder."""
     kept = {
         name: getattr(jax.config, name)
@@ -72,7 +72,7 @@ def jaxstage(monkeypatch, capsys, tmp_path):
     here = tmp_path / "here"
     here.mkdir()
     monkeypatch.chdir(here)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
 
     def call(*words):
         monkeypatch.setattr(sys, "argv", ["jaxstage", *map(str, words)])
@@ -139,8 +139,8 @@ def test_json_is_one_object_of_the_schema(jaxstage):
         assert type(found[key]) is kind, key
     assert found["loop"] == "dfcmac-circle" and found["version"] == __version__
     assert found["precision"] == "double" and found["notes"] == []
-    assert found["dt_s"] == 1e-4 and found["lap_time_s"] == 0.02
-    assert found["duration_s"] == pytest.approx(0.02) and found["laps"] == 1
+    assert found["dt_s"] == 1e-4 and found["lap_time_s"] == 0.5
+    assert found["duration_s"] == pytest.approx(0.5) and found["laps"] == 1
     assert found["scored"] == 0 and found["finite"]
 
 
@@ -152,7 +152,9 @@ def test_figures_are_numbers_or_one_per_axis(jaxstage):
         numbers = value.values() if isinstance(value, dict) else [value]
         assert not isinstance(value, dict) or list(value) == ["x", "y"], key
         assert all(n is None or type(n) in (int, float) for n in numbers), key
-        assert split_key(key)[1] or key.startswith(("reversals", "saturated")), f"{key}: no unit"
+        assert split_key(key)[1] or key.startswith(("reversals", "saturated", "contour_beyond")), (
+            f"{key}: no unit"
+        )
     for key in ("ate_um", "tesd_um", "contour_rms_um", "contour_max_um"):
         assert found["metrics"][key] > 0
     assert set(found["metrics"]["command_rms_A"]) == {"x", "y"}
@@ -167,7 +169,8 @@ def test_json_and_table_say_the_same(jaxstage):
         and "whole run" in text.out
         and "double precision" in text.out
     )
-    assert f"{found['metrics']['contour_rms_um']:.4g} um RMS" in text.out
+    assert found["verdict"] in text.out
+    assert f"{found['metrics']['contour_rms_um']:.4f}" in text.out
     assert text.out.count("\n") > 20
 
 
@@ -265,9 +268,9 @@ def test_a_lost_run_is_a_result_without_figures(jaxstage):
     text = jaxstage(*words)
     assert text.status == 0
     tick = lost["left_path_at"]
-    assert f"left the path at tick {tick}" in text.out
-    assert re.search(rf"t = {tick * 1e-3:.4g} s", text.out)
-    assert "um RMS" not in text.out
+    assert f"LOST at t = {tick:.4g} ms (tick {tick} of 2000)" in text.out
+    assert "following error above 100 mm" in text.out and lost["verdict"] in text.out
+    assert "RMS" not in text.out
 
 
 # --- wrong uses ---------------------------------------------------------------------------------

@@ -219,10 +219,11 @@ def test_limit_then_delay_then_lag():
     assert (np.abs(demand) > limit).any()
     np.testing.assert_array_equal(command, np.clip(demand, -limit, limit))
     late = np.concatenate([np.zeros((2, 3)), command[:-2]])
-    expected, weight = np.zeros(3), 1 - np.exp(-DT / lag)
+    lagged, left = np.zeros(3), np.exp(-DT / lag)
     for k in range(200):
-        expected = expected + weight * (late[k] - expected)
+        expected = late[k] + (1 - left) * lag / DT * (lagged - late[k])
         np.testing.assert_allclose(applied[k], expected, atol=1e-13)
+        lagged = late[k] + left * (lagged - late[k])
 
 
 # --- (c) what hears the command --------------------------------------------------------------

@@ -42,6 +42,7 @@ from jaxstage.drives import CurrentDrive, current_drive
 from jaxstage.fields import leaves, pytree, replace, signal
 from jaxstage.numerics.smooth import Layer, exact, implicit
 from jaxstage.rollout import _simulate, simulate
+from jaxstage.studies import Timing, build
 from jaxstage.studies.fuzzy_cmac import loops
 
 every_law = pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
@@ -355,9 +356,18 @@ def test_cross_coupling_is_an_acceleration_and_forwards_the_totals():
     demand, memory = law.control(gains, memory, wanted, measured, DT)
     np.testing.assert_array_equal(demand, [1 + 5, 2 + 5])
     memory = law.settle(gains, memory, demand, 0.5 * demand, DT)
-    for heard in (memory.law, memory.extra):
-        np.testing.assert_array_equal(heard.demand, [6, 7])
-        np.testing.assert_array_equal(heard.command, [3, 3.5])
+    for heard, unit in ((memory.law, 1), (memory.extra, np.array([0.5, 0.25]))):
+        np.testing.assert_array_equal(heard.demand, np.array([6, 7]) / unit)
+        np.testing.assert_array_equal(heard.command, np.array([3, 3.5]) / unit)
+
+
+@pytest.mark.fast
+def test_a_gain_given_once_holds_for_all_axes():
+    case = build("dfcmac-circle", Timing(lap_time=0.05, laps=1))
+    once = replace(case.gains, slope=2.0, weights=np.zeros((4, 3, 3)))
+    each = replace(case.gains, slope=np.full(2, 2.0))
+    a, b = (replace(case, gains=g).simulate().report["tracking"].ate for g in (once, each))
+    np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.fast
@@ -519,6 +529,7 @@ def test_cascade_integral_ends_at_the_limit():
             velocity_feedforward=np.zeros(2),
             acceleration_feedforward=np.zeros(2),
             friction_feedforward=np.zeros(2),
+            load_feedforward=np.zeros(2),
             integral_gain=np.full(2, 1e7),
         )
     )

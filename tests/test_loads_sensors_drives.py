@@ -207,11 +207,19 @@ def test_delay_shifts_the_limited_command():
 
 
 def test_lag_is_first_order_after_the_delay():
-    """A step is answered by 1 - exp(-t/tau), one period of it on the first tick."""
+    """A step is answered by the mean of 1 - exp(-t/tau) over each period."""
     demand, lag, delay = jnp.ones((30, 2)), 5e-3, 2
     _, applied = driven(current_drive(2), drive_params(np.inf, delay, lag), demand)
-    expected = np.maximum(1 - np.exp(-(np.arange(30) + 1 - delay) * DT / lag), 0)
+    begin = (np.arange(30) - delay) * DT / lag
+    mean = 1 - np.exp(-begin) * (1 - np.exp(-DT / lag)) * lag / DT
+    expected = np.where(begin > -1e-9, mean, 0)
     np.testing.assert_allclose(applied[:, 0], expected, rtol=1e-12)
+
+
+def test_a_lag_far_shorter_than_the_period_still_delays():
+    """tau = dt/10: of the first period a tenth is missing, whatever the sampling."""
+    _, applied = driven(current_drive(), drive_params(np.inf, 0, DT / 10), jnp.ones((2, 2)))
+    np.testing.assert_allclose(applied[0], 1 - 0.1 * (1 - np.exp(-10)), rtol=1e-12)
 
 
 def test_gradient_by_the_lag():
