@@ -6,10 +6,12 @@ Colours are those of Okabe and Ito, which colour-blind readers can tell apart.
 from collections.abc import Sequence
 from itertools import cycle, islice
 
+import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jaxstage.metrics.tracking import direction
 from jaxstage.plot.numbers import envelope
 from jaxstage.plot.view import View
 
@@ -116,10 +118,10 @@ def limit(ax: Axes, judged: np.ndarray, every: np.ndarray, factor: float, unit: 
 
 def reversals(view: View, axis: int) -> np.ndarray:
     """Ticks of the judged part at which the commanded velocity of an axis has changed sign."""
-    velocity = view.velocity[:, axis]
-    moving = np.flatnonzero(np.abs(velocity) > 1e-9 * np.max(np.abs(velocity), initial=0.0))
-    turned = moving[1:][np.diff(np.sign(velocity[moving])) != 0]
-    part = range(len(velocity))[view.scored_ticks()]
+    heading = np.asarray(direction(jnp.asarray(view.velocity)))[:, axis]
+    moving = np.flatnonzero(heading)
+    turned = moving[1:][np.diff(heading[moving]) != 0]
+    part = range(len(heading))[view.scored_ticks()]
     return turned[(turned >= part.start) & (turned < part.stop)]
 
 
