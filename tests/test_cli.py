@@ -382,3 +382,11 @@ def test_figure_names_split_into_name_and_unit():
     assert split_key("contour_rms_um") == ("contour rms", "um")
     assert split_key("command_variation_A_per_s") == ("command variation", "A/s")
     assert split_key("reversals") == ("reversals", "")
+
+
+@pytest.mark.fast
+def test_the_readme_documents_every_key(jaxstage):
+    found = jaxstage("run", "dfcmac-circle", "--json", *SHORT).json
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    for key in (*found, *found["metrics"]):
+        assert f"`{key}`" in readme, f"README does not say what {key} is"
