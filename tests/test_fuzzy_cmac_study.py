@@ -97,7 +97,8 @@ def test_true_contour_error(contour_name):
     for name in ("cmac", "dfcmac"):
         report = normative(name, contour_name)["second"]["contour"]
         got += [report.contour_rms * UM, report.contour_mean * UM, report.contour_max * UM]
-    np.testing.assert_allclose(got, CONTOUR[contour_name], atol=1e-4, rtol=0)
+    # the printed figures are distances to a polyline of 800 000 segments, up to 1e-5 um off
+    np.testing.assert_allclose(got, CONTOUR[contour_name], atol=DIGIT + 1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("contour_name", CONTOURS)

@@ -18,7 +18,7 @@ from jaxstage.references.arc import ArcTable, host_frame, parameter_at, spans
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 
 CORNER = 1e-6  # rad
-TABLE_ERROR = 1e-10  # m
+TABLE_ERROR = 1e-11  # m
 MOST_SEGMENTS = 2**15
 
 
