@@ -6,6 +6,7 @@ every array; tiles of lanes run one after the other, and the tiles are spread ov
 """
 
 import functools
+from collections.abc import Callable
 from functools import partial
 from typing import Any, cast
 
@@ -68,8 +69,7 @@ def rollouts(
     if not 1 <= devices <= available:
         raise ValueError(f"devices = {devices}: must be 1..{available}")
     if tile is None:
-        one = partial(run_tile, loop, structure=structure, batched=batched)
-        tile = remembered_tile(one, leaves, batched, lanes)
+        tile = remembered_tile(_tile_program(loop, structure, batched), leaves, batched, lanes)
     if tile < 1:
         raise ValueError(f"tile = {tile}: must be >= 1")
     # a tile of one lane would be compiled to another program, with other last bits
@@ -121,6 +121,14 @@ def run_tile(
     steps = jnp.broadcast_to(carry.step, (lanes,))
     leading = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), (replace(carry, step=steps), rows))
     return Run(report=finish(carry), rows=leading[1], final=leading[0])
+
+
+@functools.cache
+def _tile_program(
+    loop: Loop, structure: Any, batched: tuple[bool, ...]
+) -> Callable[[int, list[Array]], Run]:
+    """`run_tile` of one batch, the identical function for equal batches."""
+    return partial(run_tile, loop, structure=structure, batched=batched)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2, 3, 4, 5))

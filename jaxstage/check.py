@@ -43,7 +43,7 @@ def check(
             f"the path has {sampled.position.shape[-1]} axes, "
             f"but {loop.plant.name} has {len(axes)} ({', '.join(axes)})"
         )
-    _check_period(loop, path)
+    _check_period(loop, path, in_axes[2])
     check_leaves(gains, "gains", axes, in_axes[0], per_axis=True)
     for name in ("plant", "load", "sensor", "drive", "start"):
         batch = getattr(in_axes[1], name)
@@ -74,8 +74,12 @@ def strong(tree: Any, dtype: Any) -> Any:
     return jax.tree.map(convert, tree)
 
 
-def _check_period(loop: Loop, path: Any) -> None:
-    period = loop.reference.period(path)
+def _check_period(loop: Loop, path: Any, batch: Any) -> None:
+    if all(a == SHARED for a in jax.tree.leaves(batch)):
+        period = loop.reference.period(path)
+    else:
+        lanes = jax.tree.map(lambda a: None if a == SHARED else a, batch)
+        period = jax.vmap(lambda one: jnp.asarray(loop.reference.period(one)), (lanes,))(path)
     if isinstance(period, Tracer):
         return
     wrong = np.abs(np.asarray(period, float) / loop.dt - 1) > 1e-5

@@ -138,31 +138,31 @@ def advance(
     return flagged, jax.tree.map(lambda r: _blank(ok, r), row)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _checked_tick(loop: Loop, structure: Any, *leaves: Any) -> tuple[Any, Array]:
-    """`tick` on flattened inputs, and whether all that it would carry on is finite.
-
-    Its derivative is masked at the INPUT where it is not: the cotangent of rejected values is
-    zero, and reverse mode would turn it into 0 x NaN.
-    """
+def _tick_and_check(loop: Loop, structure: Any, *leaves: Any) -> tuple[Any, Array]:
+    """`tick` on flattened inputs, and whether all that it would carry on is finite."""
     after, row = tick(loop, *jax.tree.unflatten(structure, leaves))
     return (after, row), _finite(replace(after, step=None))
 
 
 def _checked_tick_jvp(loop: Loop, structure: Any, primals: Any, tangents: Any) -> Any:
+    """The derivative of a tick, masked at its INPUT where the result is not finite.
+
+    The cotangent of rejected values is zero, and reverse mode would turn it into 0 x NaN.
+    """
     moving = [i for i, t in enumerate(tangents) if not isinstance(t, SymbolicZero)]
 
     def evaluate(*values: Array) -> tuple[Any, Array]:
         leaves = list(primals)
         for i, value in zip(moving, values, strict=True):
             leaves[i] = value
-        return _checked_tick.__wrapped__(loop, structure, *leaves)
+        return _tick_and_check(loop, structure, *leaves)
 
     out, derivative = jax.linearize(evaluate, *(primals[i] for i in moving))
     masked = [jnp.where(out[1], tangents[i], jnp.zeros_like(tangents[i])) for i in moving]
     return out, derivative(*masked)
 
 
+_checked_tick = jax.custom_jvp(_tick_and_check, nondiff_argnums=(0, 1))
 # symbolic zeros: what is not differentiated (the path above all) must not cost a tick anything
 _checked_tick.defjvp(_checked_tick_jvp, symbolic_zeros=True)
 

@@ -31,25 +31,27 @@ def remembered_tile(
 ) -> int:
     """The best tile of a batch, from the notes of an earlier run or by a short measurement.
 
-    run(ticks, leaves): simulates the lanes it is given. Batches that fit the smallest candidate
+    run(ticks, leaves): simulates the lanes it is given; the identical function for equal batches,
+    so that the loop is traced for its key only once. Batches that fit the smallest candidate
     are not worth a measurement.
     """
     if lanes <= CANDIDATES[0]:
         return lanes
     if any(isinstance(x, Tracer) for x in leaves):
         return DEFAULT
-    key = _key(run, _lanes(leaves, batched, 2))
-    known = _measured_here() | _read()
+    key = _key(run, tuple(jax.eval_shape(lambda v: _lanes(v, batched, 2), leaves)))
+    known = _known()
+    if key not in known:
+        known.update(_read())
     if key not in known:
         known[key] = _measure(run, leaves, batched, lanes)
-        _measured_here()[key] = known[key]
-        _write(known)
+        _write(_read() | {key: known[key]})
     return known[key]
 
 
 @functools.cache
-def _measured_here() -> dict[str, int]:
-    """The tiles measured by this process, for those who keep no cache folder."""
+def _known() -> dict[str, int]:
+    """The tiles that this process has read or measured."""
     return {}
 
 
@@ -79,9 +81,10 @@ def _measure(
     return min(costs, key=lambda tile: costs[tile])
 
 
-def _key(run: Callable[[int, list[Array]], Any], leaves: list[Array]) -> str:
+@functools.cache
+def _key(run: Callable[[int, list[Array]], Any], shapes: tuple[jax.ShapeDtypeStruct, ...]) -> str:
     """Identifies the loop by what it computes, and the machine."""
-    text = str(jax.make_jaxpr(lambda v: run(1, v))(leaves))
+    text = str(jax.make_jaxpr(lambda v: run(1, v))(list(shapes)))
     parts = (text, jax.__version__, jax.default_backend(), platform.processor(), platform.node())
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
 

@@ -127,6 +127,20 @@ def test_every_run_may_have_its_own_curve():
     assert star().weights.shape != circle().weights.shape  # other sizes need another batch
 
 
+def test_stored_paths_may_be_batched():
+    """Each run its own lap, here both of one length; their period is that of the loop."""
+    paths = [js.build(f"dfcmac-{name}", TIMING).path for name in ("circle", "circle")]
+    paths[1] = js.replace(paths[1], setpoint=jax.tree.map(lambda x: 0.5 * x, paths[1].setpoint))
+    c = case()
+    batch = rollouts(
+        c.loop, c.gains, c.scenario, jax.tree.map(lambda *x: jnp.stack(x), *paths), 500,
+        in_axes=(None, None, 0), tile=2, devices=1,
+    )  # fmt: skip
+    for lane, path in enumerate(paths):
+        single = js.simulate(c.loop, c.gains, c.scenario, path, 500)
+        np.testing.assert_allclose(batch.report.ate[lane], single.report.ate, rtol=1e-9)
+
+
 def test_a_lost_lane_changes_nothing_in_the_others():
     c = case(standard())
     rate = jnp.full((LANES, 2), 10.0)
