@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxstage.blocks import Loop
-from jaxstage.fields import Quantity, leaves
+from jaxstage.blocks import Loop, Plant
+from jaxstage.fields import Quantity, in_units_of, leaves
 from jaxstage.signals import Scenario
 
 #: in a tree of batch axes: a leaf that all runs share
@@ -44,10 +44,10 @@ def check(
             f"but {loop.plant.name} has {len(axes)} ({', '.join(axes)})"
         )
     _check_period(loop, path, in_axes[2])
-    check_leaves(gains, "gains", axes, in_axes[0], per_axis=True)
+    check_leaves(loop.plant, gains, "gains", in_axes[0], per_axis=True)
     for name in ("plant", "load", "sensor", "drive", "start"):
         batch = getattr(in_axes[1], name)
-        check_leaves(getattr(scenario, name), name, axes, batch, per_axis=name == "sensor")
+        check_leaves(loop.plant, getattr(scenario, name), name, batch, per_axis=name == "sensor")
     _check_delay(loop, scenario)
     return gains, scenario, path
 
@@ -110,17 +110,18 @@ def check_loop(loop: Loop) -> None:
             raise ValueError(f"loop.{name} = {getattr(loop, name)}: must be a whole number")
 
 
-def check_leaves(
-    tree: Any, root: str, axes: tuple[str, ...], batch: Any, per_axis: bool = False
-) -> None:
+def check_leaves(plant: Plant, tree: Any, root: str, batch: Any, per_axis: bool = False) -> None:
     """Check shape and range of every field below ``tree``; ``root`` begins the names.
 
-    batch: the same tree with 0 where a leaf has a leading batch axis, else `SHARED`. per_axis:
-    fields described for one axis may carry a leading (axes,).
+    plant: gives the names of the axes and the unit of the command. batch: the same tree with 0
+    where a leaf has a leading batch axis, else `SHARED`. per_axis: fields described for one axis
+    may carry a leading (axes,).
     """
+    axes = plant.axes
     values = {path: value for path, _, value in leaves(tree, root)}
     batched = {path: axis != SHARED for path, _, axis in leaves(batch, root)}
-    for path, quantity, value in leaves(tree, root):
+    for path, general, value in leaves(tree, root):
+        quantity = in_units_of(general, plant.command_unit)
         shape = np.shape(value)[1:] if batched[path] else np.shape(value)
         _check_shape(path, quantity, shape, axes, per_axis)
         if isinstance(value, Tracer):

@@ -12,6 +12,7 @@ This is the only file that touches :mod:`dataclasses`.
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, dataclass_transform
 
@@ -36,7 +37,7 @@ class Quantity:
 
     low, high: inclusive bounds; above: exclusive lower bound; at_least: name of a sibling field
     that this one may not fall below; infinite: inf is a valid value; shown: the display unit,
-    when it is not the SI unit.
+    when it is not the SI unit. The unit ``command`` stands for the command unit of the plant.
     """
 
     role: str
@@ -121,6 +122,16 @@ def replace(obj: T, **changes: Any) -> T:
     if isinstance(obj, tuple):
         return obj._replace(**changes)  # type: ignore[attr-defined]
     return dataclasses.replace(obj, **changes)  # type: ignore[type-var]
+
+
+def in_units_of(quantity: Quantity, command_unit: str) -> Quantity:
+    """The quantity with the plant's command unit in place of the word ``command``."""
+
+    def power(found: re.Match[str]) -> str:
+        return " ".join(factor + found[1] for factor in command_unit.split())
+
+    unit, shown = (re.sub(r"command(\d*)", power, text) for text in (quantity.unit, quantity.shown))
+    return dataclasses.replace(quantity, unit=unit, shown=shown)
 
 
 def quantities(cls: Any) -> dict[str, Quantity]:

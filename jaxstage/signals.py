@@ -106,9 +106,13 @@ class Sample:
     between: Output = part("the truth at the end of each substep, (substeps, axes)")
     measurement: Measurement = part("what the controller saw")
     memory: Any = part("controller memory that made the demand")
-    demand: Array = signal("1", "u_d", "what the controller asked for", shape="(axes,)")
-    command: Array = signal("1", "u", "the demand within the limits of the drive", shape="(axes,)")
-    applied: Array = signal("1", "u_a", "what reached the plant, after delay/lag", shape="(axes,)")
+    demand: Array = signal("command", "u_d", "what the controller asked for", shape="(axes,)")
+    command: Array = signal(
+        "command", "u", "the demand within the limits of the drive", shape="(axes,)"
+    )
+    applied: Array = signal(
+        "command", "u_a", "what reached the plant, after delay/lag", shape="(axes,)"
+    )
     load: Array = signal("N", "F", "force of the load block at the tick", shape="(axes,)")
     power: Power = part("mean power over the period")
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from jaxstage.check import check
 from jaxstage.controllers import per_axis, pi
 from jaxstage.drives import CurrentDrive, current_drive
-from jaxstage.fields import replace
+from jaxstage.fields import in_units_of, replace
 from jaxstage.loads import SineLoad, sine_load
 from jaxstage.plants import pmsm_table
 from jaxstage.references import analytic
@@ -85,7 +85,7 @@ def test_any_bad_entry_is_named(case):
         return x
 
     message = refused(path, spoil)
-    quantity = KNOWN[path][0]
+    quantity = in_units_of(KNOWN[path][0], "A")
     assert message.startswith(path)
     if index:
         assert f"({'xy'[index[0]]})" in message

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import jaxstage as js
 from jaxstage import metrics
 from jaxstage.metrics import moments
+from jaxstage.plants import pmsm_table
 from jaxstage.rollout import replay
 
 DT = 1e-3
@@ -175,7 +176,7 @@ def test_two_metrics_of_one_name_are_refused():
 def test_columns_carry_units_and_axes():
     rows = samples(np.full((N, 2), 2e-6))
     together = metrics.together(metrics.tracking, metrics.following, metrics.energy)
-    table = metrics.columns(report(together, rows), ("x", "y"))
+    table = metrics.columns(report(together, rows), pmsm_table())
     np.testing.assert_allclose(table["ate_um"], 2 * np.sqrt(2))
     np.testing.assert_allclose(table["following_max_um"]["y"], 2.0)
     assert table["energy_J"] == 0.0
@@ -183,7 +184,7 @@ def test_columns_carry_units_and_axes():
 
 def test_columns_show_what_is_not_finite_as_none():
     nothing = metrics.windowed(metrics.tracking, 5000, 6000)
-    table = metrics.columns(report(nothing, samples(np.zeros((N, 2)))), ("x", "y"))
+    table = metrics.columns(report(nothing, samples(np.zeros((N, 2)))), pmsm_table())
     assert table["ate_um"] is None
 
 

@@ -15,6 +15,7 @@ import jaxstage.metrics
 from jaxstage.blocks import Metric
 from jaxstage.fields import DISPLAY, Quantity, leaves, parts, quantities
 from jaxstage.metrics import columns
+from jaxstage.plants import pmsm_table
 from jaxstage.signals import Setpoint
 
 ROOT = Path(__file__).parent.parent
@@ -199,7 +200,7 @@ def decorated(name: str) -> list[tuple[str, str]]:
 
 
 DATA = decorated("pytree")
-UNITS = {"1", "m", "s", "kg", "N", "A", "V", "W", "J", "rad", "ohm", "Hz"}
+UNITS = {"1", "m", "s", "kg", "N", "A", "V", "W", "J", "rad", "ohm", "Hz", "command"}
 
 
 def is_unit(text: str) -> bool:
@@ -271,7 +272,7 @@ def test_figures_have_names_of_their_own():
     assert sorted(seen) == sorted(set(seen))
     both = {"a": metrics[0].finish(metrics[0].init(first))}
     with pytest.raises(ValueError, match="two figures are called"):
-        columns(both | {"b": both["a"]}, ("x", "y"))
+        columns(both | {"b": both["a"]}, pmsm_table())
 
 
 # --- the gate --------------------------------------------------------------------------------

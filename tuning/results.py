@@ -21,12 +21,11 @@ def _tick(value: Any) -> int | None:
 
 def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]:
     """The object that ``--json`` prints. Figures of a lost run are None."""
-    axes = case.loop.plant.axes
     left, broken = _tick(run.final.left_path_at), _tick(run.final.non_finite_at)
-    double = case.path.setpoint.position.dtype == "float64"
-    scored = columns(run.report["scored"], axes)
+    double = case.scenario.start.offset.dtype == "float64"
+    scored = columns(run.report["scored"], case.loop.plant)
     lost = broken if left is None else left
-    beyond = scored["contour_beyond_share"]
+    beyond = scored.get("contour_beyond_share")
     if beyond:
         notes += (
             f"in {beyond:.1%} of the ticks the following error exceeds the part of the curve that "
@@ -38,7 +37,7 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
         "precision": "double" if double else "single",
         "dt_s": case.loop.dt,
         "duration_s": case.window.ticks * case.loop.dt,
-        "lap_time_s": float(case.path.lap_time),
+        "lap_time_s": case.window.lap * case.loop.dt,
         "laps": case.window.laps,
         "scored": case.window.scored,
         "verdict": verdict(case, scored, lost, lost_because(case, left)),
@@ -46,7 +45,7 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
         "left_path_at": left,
         "non_finite_at": broken,
         "metrics": scored,
-        "metrics_whole_run": columns(run.report["whole"], axes),
+        "metrics_whole_run": columns(run.report["whole"], case.loop.plant),
         "notes": list(notes),
     }
 

@@ -20,6 +20,7 @@ from tuning.results import summary, write_settings
 #: settings that belong to the timing, with their types
 TIMING = {
     "lap_time": float, "laps": int, "scored": int, "dt": float, "substeps": int, "feed": float,
+    "skip": float,
 }  # fmt: skip
 
 
@@ -58,7 +59,7 @@ def prepare(
     """
     entry = find(loop)
     given = dict(_word(word) for word in words)
-    timing = _timing({k: v for k, v in given.items() if k in TIMING}, duration)
+    timing = _timing(entry.timing, {k: v for k, v in given.items() if k in TIMING}, duration)
     published = case = entry.build(timing)
     changed: tuple[str, ...] = ()
     for file, roots in ((gains_file, ("gains",)), (scenario_file, settings.SCENARIO_PARTS)):
@@ -69,7 +70,8 @@ def prepare(
     case, paths = _applied(case, values, tuple(TIMING))
     changed += paths
     check(case.loop, case.gains, case.scenario, case.path)
-    return Prepared(case, entry.summary, _notes(published, case, changed))
+    notes = (*_notes(published, case, changed), *entry.notes(case))
+    return Prepared(case, entry.summary, notes)
 
 
 def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
@@ -114,8 +116,10 @@ def _numbers(name: str, text: str) -> list[float]:
         ) from None
 
 
-def _timing(words: Mapping[str, str], duration: float | None) -> Timing:
-    values: dict[str, Any] = {}
+def _timing(own: Timing, words: Mapping[str, str], duration: float | None) -> Timing:
+    """The loop's own timing with changes; naming the scored lap drops its ``skip``."""
+    values: dict[str, Any] = {} if duration is None else {"duration": duration}
+    values |= {"skip": None} if "scored" in words else {}
     for name, text in words.items():
         number, *more = _numbers(name, text)
         if more:
@@ -125,7 +129,7 @@ def _timing(words: Mapping[str, str], duration: float | None) -> Timing:
                 raise ValueError(f"--set {name}={text}: must be a whole number")
             number = int(number)
         values[name] = number
-    return Timing(**values, duration=duration)
+    return replace(own, **values)
 
 
 def _from_file(case: Case, file: Path, roots: tuple[str, ...]) -> tuple[Case, tuple[str, ...]]:

@@ -11,7 +11,7 @@ omega = b sqrt(2 r1 nu |xi|^2); output first is stable only below (B/M)/omega^2,
 | symbol | field | unit | published value in SI |
 |---|---|---|---|
 | c1 | slope | 1/s | 1 |
-| r1 | rate | A2 s2/m2 | 10 (printed 0.001, lengths in cm: times 100^2) |
+| r1 | rate | command2 s2/m2 | 10 (printed 0.001, lengths in cm: times 100^2) |
 | nu | credit | 1 | CMAC 1/4 (one of four cells, equation (9)); DFCMAC 1 |
 | eta | switching_gain | m/s2 | 0.01 (printed 1 cm/s2) |
 | theta(0) | weights | A | 0 |
@@ -44,12 +44,12 @@ class CmacSliding:
     """Gains of the CMAC sliding-mode law, one axis."""
 
     slope: Array = gain("1/s", "c1", "slope of the sliding surface", above=0.0)
-    rate: Array = gain("A2 s2/m2", "r1", "learning rate", low=0.0)
+    rate: Array = gain("command2 s2/m2", "r1", "learning rate", low=0.0)
     credit: Array = gain("1", "nu", "share of a correction that each cell takes", above=0.0)
     switching_gain: Array = gain("m/s2", "eta", "switching gain", low=0.0)
     error_width: Array = gain("m", "W_e", "interval of the error", above=0.0, shown="mm")
     rate_width: Array = gain("m/s", "W_v", "interval of its rate", above=0.0, shown="mm/s")
-    weights: Array = gain("A", "theta0", "weights at the start", shape="(4, 3, 3)")
+    weights: Array = gain("command", "theta0", "weights at the start", shape="(4, 3, 3)")
     receptive: Any = part("parameters of the receptive fields")
     switch: Any = part("parameters of the switch")
     nominal: RigidAxis = part("what the law assumes about the axis")
@@ -59,7 +59,7 @@ class CmacSliding:
 class CmacMemory:
     """What the law has learned, and its sliding variable."""
 
-    weights: Array = signal("A", "theta", "adapted weights", shape="(4, 3, 3)")
+    weights: Array = signal("command", "theta", "adapted weights", shape="(4, 3, 3)")
     surface: Array = signal("m/s", "s", "sliding variable", shown="mm/s")
 
 

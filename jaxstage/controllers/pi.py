@@ -7,7 +7,7 @@ K = 2 r1 nu b |xi|^2: a test of the published claim that learning does more than
 
 | symbol | field | unit |
 |---|---|---|
-| K | proportional_gain | A/m |
+| K | proportional_gain | command/m |
 | c1 | slope | 1/s |
 
 Anti-windup: the command is set back to what the drive could give and integrates on from there.
@@ -26,7 +26,7 @@ from jaxstage.signals import Measurement, Setpoint
 class Pi:
     """Gains of the PI law, one axis."""
 
-    proportional_gain: Array = gain("A/m", "K", "proportional gain", low=0.0)
+    proportional_gain: Array = gain("command/m", "K", "proportional gain", low=0.0)
     slope: Array = gain("1/s", "c1", "inverse of the integral time", low=0.0)
 
 
@@ -34,7 +34,7 @@ class Pi:
 class PiMemory:
     """The command so far, and the sliding variable that it integrates."""
 
-    command: Array = signal("A", "u", "integrated command")
+    command: Array = signal("command", "u", "integrated command")
     surface: Array = signal("m/s", "s", "-(c1 e + e')", shown="mm/s")
 
 

@@ -15,13 +15,15 @@ from jaxstage.signals import Sample, Setpoint
 
 @pytree
 class Effort:
-    """Command of each axis, in the command unit of the plant (A)."""
+    """Command of each axis, in the command unit of the plant."""
 
-    command_rms: Array = signal("A", "", "RMS", shape="(axes,)")
-    command_max: Array = signal("A", "", "largest magnitude", shape="(axes,)")
-    command_variance: Array = signal("A2", "", "population variance", shape="(axes,)")
-    command_variation: Array = signal("A/s", "", "total variation per second", shape="(axes,)")
-    chattering: Array = signal("A", "", "RMS of the high-passed command", shape="(axes,)")
+    command_rms: Array = signal("command", "", "RMS", shape="(axes,)")
+    command_max: Array = signal("command", "", "largest magnitude", shape="(axes,)")
+    command_variance: Array = signal("command2", "", "population variance", shape="(axes,)")
+    command_variation: Array = signal(
+        "command/s", "", "total variation per second", shape="(axes,)"
+    )
+    chattering: Array = signal("command", "", "RMS of the high-passed command", shape="(axes,)")
 
 
 @pytree
@@ -30,9 +32,11 @@ class EffortSums:
 
     command: Moments = part("moments of the command")
     high: Moments = part("moments of the high-passed command")
-    last: Array = signal("A", "", "command before", shape="(axes,)")
-    slow: Array = signal("A", "", "output of the low-pass", shape="(axes,)")
-    variation: Array = signal("A", "", "sum of the magnitudes of the changes", shape="(axes,)")
+    last: Array = signal("command", "", "command before", shape="(axes,)")
+    slow: Array = signal("command", "", "output of the low-pass", shape="(axes,)")
+    variation: Array = signal(
+        "command", "", "sum of the magnitudes of the changes", shape="(axes,)"
+    )
     time: Array = signal("s", "", "time between first and last command")
 
 

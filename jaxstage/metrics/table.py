@@ -1,21 +1,21 @@
 """A report as flat columns with units in their names."""
 
 import math
+import re
 from typing import Any
 
 import numpy as np
 
-from jaxstage.fields import leaves
+from jaxstage.blocks import Plant
+from jaxstage.fields import in_units_of, leaves
 
-#: how a unit is written in a key
-_SUFFIX = {
-    "1": "", "A/s": "A_per_s", "A2": "A2", "m/s": "m_per_s", "mm/s": "mm_per_s", "%": "percent",
-}  # fmt: skip
+#: the end of a key that is a unit
+_UNIT = re.compile(r"_((?:um|mm|m|s|A|V|W|J|N|Nm|Hz|rad|mWh|percent)\d?(?:_per_(?:s|m)\d?)?)$")
 
 
 def key(name: str, unit: str) -> str:
-    """The key of a figure: its name and the unit it is shown in."""
-    suffix = _SUFFIX.get(unit, unit)
+    """The key of a figure: its name and the unit it is shown in, e.g. ``_A_per_s`` or ``_Nm``."""
+    suffix = {"1": "", "%": "percent"}.get(unit, unit).replace("/", "_per_").replace(" ", "")
     return f"{name}_{suffix}" if suffix else name
 
 
@@ -24,20 +24,23 @@ def _number(value: Any, factor: float) -> float | None:
     return scaled if math.isfinite(scaled) else None
 
 
-def columns(report: Any, axes: tuple[str, ...]) -> dict[str, Any]:
+def columns(report: Any, plant: Plant) -> dict[str, Any]:
     """Figures of one run in display units: {key: number}, per-axis ones {key: {axis: number}}.
 
-    What is not finite (a lost run, a window without samples) becomes None. Raises ValueError
-    if two fields share a name.
+    plant: names the axes and the unit of the command. What is not finite (a lost run, a window
+    without samples) becomes None. Raises ValueError if two fields share a name.
     """
     table: dict[str, Any] = {}
-    for path, quantity, value in leaves(report):
+    for path, general, value in leaves(report):
+        quantity = in_units_of(general, plant.command_unit)
         name = key(path.rsplit(".", 1)[-1], quantity.shown)
         if name in table:
             raise ValueError(f"two figures are called {name}")
         array = np.asarray(value)
         if array.ndim:
-            table[name] = {a: _number(v, quantity.factor) for a, v in zip(axes, array, strict=True)}
+            table[name] = {
+                a: _number(v, quantity.factor) for a, v in zip(plant.axes, array, strict=True)
+            }
         else:
             table[name] = _number(array, quantity.factor)
     return table
@@ -45,7 +48,8 @@ def columns(report: Any, axes: tuple[str, ...]) -> dict[str, Any]:
 
 def split_key(name: str) -> tuple[str, str]:
     """Name and unit of a key, for people: ``contour_rms_um`` -> (``contour rms``, ``um``)."""
-    for unit in ("um", "J", "A", "A2", "A_per_s", "m"):
-        if name.endswith("_" + unit):
-            return name.removesuffix("_" + unit).replace("_", " "), unit.replace("_per_", "/")
-    return name.replace("_", " "), ""
+    found = _UNIT.search(name)
+    if not found:
+        return name.replace("_", " "), ""
+    unit = found[1].replace("_per_", "/").replace("Nm", "N m").replace("percent", "%")
+    return name[: found.start()].replace("_", " "), unit

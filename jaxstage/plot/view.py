@@ -71,7 +71,7 @@ def view(case: Case, report: Any, rows: Sample, because: str = "the run was lost
     broken = ~np.isfinite(tool).all(axis=1)
     lost = int(broken.argmax()) if broken.any() else None
     kept = slice(lost)
-    lap = round(case.window.ticks / case.window.laps)
+    lap = case.window.lap
     curve = jax.vmap(case.loop.reference.sample, (None, 0))(
         case.path, jax.numpy.arange(min(lap, len(tool)) + 1)
     )
@@ -103,7 +103,7 @@ def view(case: Case, report: Any, rows: Sample, because: str = "the run was lost
         scored_text=scored_text(case),
         duration=len(tool) * case.loop.dt,
         lost=lost,
-        verdict=verdict(case, columns(report, case.loop.plant.axes), lost, because),
+        verdict=verdict(case, columns(report, case.loop.plant), lost, because),
         footer=_footer(case, str(tool.dtype)),
     )
 
@@ -120,7 +120,7 @@ def _optional(tree: Any, name: str, kept: slice) -> np.ndarray | None:
 
 
 def _footer(case: Case, dtype: str) -> str:
-    lap = round(case.window.ticks / case.window.laps) * case.loop.dt
+    lap = case.window.lap * case.loop.dt
     seed = int(jax.random.key_data(case.scenario.key)[-1])
     substeps = f"{case.loop.substeps} substep{'s' if case.loop.substeps > 1 else ''}"
     parts = (

@@ -34,8 +34,9 @@ def find(name: str) -> NamedLoop:
 def build(name: str, timing: Timing | None = None) -> Case:
     """The loop called ``name``, e.g. ``dfcmac-circle``.
 
-    Warns where single precision, JAX's default, moves the figures of this loop by over 1 %. Raises
-    ValueError for an unknown name and for impossible timing.
+    timing: that of the published loop if left out. Warns where single precision, JAX's default,
+    moves the figures of this loop by over 1 %. Raises ValueError for an unknown name and for
+    impossible timing.
     """
     entry = find(name)
     if jnp.zeros(()).dtype == jnp.float32:
@@ -47,4 +48,4 @@ def build(name: str, timing: Timing | None = None) -> Case:
                     'call configure(precision="double") first',
                     stacklevel=2,
                 )
-    return entry.build(timing or Timing())
+    return entry.build(timing or entry.timing)

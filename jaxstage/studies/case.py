@@ -18,7 +18,8 @@ class Timing:
     lap_time: s per lap. laps: laps in the run. scored: the lap that the metrics cover, 1 is the
     first; 0 the whole run; None the last lap. dt: control period in s. substeps: plant steps per
     period. feed: constant feed rate in mm/min in place of ``lap_time``, or None. duration: length
-    of the run in s in place of ``laps``, or None.
+    of the run in s in place of ``laps``, or None. skip: s; the metrics cover all that comes later,
+    in place of ``scored``, or None.
     """
 
     lap_time: float = 5.0
@@ -28,16 +29,19 @@ class Timing:
     substeps: int = 1
     feed: float | None = None
     duration: float | None = None
+    skip: float | None = None
 
 
 class Window(NamedTuple):
-    """Ticks of a run: its length, start and stop of the scored part, and both in laps."""
+    """Ticks of a run: its length, start and stop of the scored part; laps in the run, the scored
+    lap (0 where it is not one lap) and the ticks of a lap."""
 
     ticks: int
     start: int
     stop: int
     laps: float
     scored: int
+    lap: int
 
 
 #: ticks and substeps of a run are counted in 32 bits, and a lap is kept in memory
@@ -53,6 +57,8 @@ def check_timing(timing: Timing) -> None:
     for name, value in positive.items():
         if not (math.isfinite(value) and value > 0):
             raise ValueError(f"{name} = {value}: must be > 0 {'mm/min' if name == 'feed' else 's'}")
+    if timing.skip is not None and not (math.isfinite(timing.skip) and timing.skip >= 0):
+        raise ValueError(f"skip = {timing.skip}: must be >= 0 s")
     for name in ("laps", "substeps"):
         value = getattr(timing, name)
         if not (value >= 1 and value % 1 == 0):
@@ -80,13 +86,20 @@ def window(timing: Timing, lap_ticks: int) -> Window:
     scored = whole_laps if timing.scored is None else timing.scored
     laps = ticks / lap_ticks
     laps = int(laps) if laps == int(laps) else laps
+    if timing.skip is not None:
+        start = math.ceil(timing.skip / timing.dt * (1 - 1e-12))
+        if start >= ticks:
+            raise ValueError(
+                f"skip = {timing.skip} s: must be < the run of {ticks * timing.dt:g} s"
+            )
+        return Window(ticks, start, ticks, laps, 0, lap_ticks)
     if scored == 0:
-        return Window(ticks, 0, ticks, laps, 0)
+        return Window(ticks, 0, ticks, laps, 0, lap_ticks)
     if scored % 1 != 0 or not 1 <= scored <= whole_laps:
         raise ValueError(
             f"scored = {scored}: must be 0 (whole run) or a whole lap of the run, 1..{whole_laps}"
         )
-    return Window(ticks, (scored - 1) * lap_ticks, scored * lap_ticks, laps, scored)
+    return Window(ticks, (scored - 1) * lap_ticks, scored * lap_ticks, laps, scored, lap_ticks)
 
 
 class Case(NamedTuple):
@@ -116,13 +129,21 @@ def with_metric(case: Case, metric: Metric) -> Case:
     return case._replace(loop=replace(case.loop, metric=metric))
 
 
+def no_notes(case: Case) -> tuple[str, ...]:
+    """Nothing the user should know about the case."""
+    return ()
+
+
 @definition
 class NamedLoop:
-    """An entry of a study: name, one line on it, and how to build it."""
+    """An entry of a study: name, one line on it, how to build it, its own timing, and what the
+    user should know about a case built from it (a limit that its gains pass, one line each)."""
 
     name: str
     summary: str
     build: Callable[[Timing], Case]
+    timing: Timing = Timing()
+    notes: Callable[[Case], tuple[str, ...]] = no_notes
 
 
 @definition

@@ -24,17 +24,17 @@ def compare_precision(case: Case) -> dict[str, float]:
     single = jax.tree.map(
         lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, case.path
     )
-    axes = case.loop.plant.axes
     tables = []
     for path in (case.path, single):
         run = simulate(case.loop, case.gains, case.scenario, path, case.window.ticks)
-        tables.append(columns(run.report, axes))
+        tables.append(columns(run.report, case.loop.plant))
     double, rough = tables
     return {
         key: abs(rough[key] - double[key]) / abs(double[key])
         if rough[key] is not None and double[key]
         else float("inf")
         for key in HEADLINE
+        if key in double
     }
 
 

@@ -10,7 +10,8 @@ from jaxstage.studies.case import Case
 def scored_text(case: Case) -> str:
     """What the figures cover."""
     if case.window.scored == 0:
-        return "whole run"
+        start = case.window.start * case.loop.dt
+        return f"t >= {time_text(start)}" if start else "whole run"
     return f"lap {case.window.scored} of {case.window.laps:g}"
 
 
@@ -29,10 +30,17 @@ def verdict(case: Case, figures: Mapping[str, Any], lost: int | None, because: s
     if lost is not None:
         at = time_text(lost * case.loop.dt)
         return f"LOST at t = {at} (tick {lost} of {case.window.ticks}): {because}; no figures"
-    rms, top = figures.get("contour_rms_um"), figures.get("contour_max_um")
+    kind = "contour" if "contour_rms_um" in figures else "following"
+    rms, top = (_largest(figures.get(f"{kind}_{name}_um")) for name in ("rms", "max"))
     if rms is None or top is None:
         return f"complete ({scored_text(case)})"
     return (
-        f"complete; contour error {length_text(rms * 1e-6)} RMS, {length_text(top * 1e-6)} max "
+        f"complete; {kind} error {length_text(rms * 1e-6)} RMS, {length_text(top * 1e-6)} max "
         f"({scored_text(case)})"
     )
+
+
+def _largest(figure: Any) -> float | None:
+    """A figure, or the largest of its axes; None where there is none."""
+    values = list(figure.values()) if isinstance(figure, Mapping) else [figure]
+    return None if None in values else max(values)

@@ -9,7 +9,7 @@ from jaxstage.fields import known, pytree
 class RigidAxis:
     """Nominal rigid axis M v' = K_t u - B v - F_L - F_c sgn v."""
 
-    force_constant: Array = known("N/A", "K_t", "assumed motor force per current", above=0.0)
+    force_constant: Array = known("N/command", "K_t", "assumed motor force per command", above=0.0)
     mass: Array = known("kg", "M", "assumed mass", above=0.0)
     damping: Array = known("N s/m", "B", "assumed viscous damping", low=0.0)
     coulomb: Array = known("N", "F_c", "assumed dry friction", low=0.0)
@@ -17,5 +17,5 @@ class RigidAxis:
 
 
 def authority(nominal: RigidAxis) -> Array:
-    """b = K_t / M: acceleration per current, m/s2 per A."""
+    """b = K_t / M: acceleration per command, m/s2 per command unit."""
     return nominal.force_constant / nominal.mass
