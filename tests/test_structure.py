@@ -32,7 +32,7 @@ LAYERS = (
     ("check", "tick"),
     ("engine",),
     ("rollout",),
-    ("tiles", "gradients"),
+    ("tiles", "gradients", "stability"),
     ("batch",),
     ("studies",),
     ("plot",),
@@ -257,7 +257,7 @@ def test_figures_have_names_of_their_own():
     """Reports of all public metrics flatten into one table without two equal keys."""
     exported = {n: v for n, v in vars(jaxstage.metrics).items() if not n.startswith("_")}
     metrics = [v for v in exported.values() if isinstance(v, Metric)]
-    factories = {"effort": (), "quadrant_glitch": (), "sliding_integral": (_surface,)}
+    factories = {"effort": (), "quadrant_glitch": (), "sliding_figures": (_surface,)}
     metrics += [exported[name](*arguments) for name, arguments in factories.items()]
     assert len(metrics) >= 9
     two = jnp.zeros(2)

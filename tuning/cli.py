@@ -1,4 +1,4 @@
-"""The command line: ``jaxstage list``, ``run LOOP``, ``precision``, ``doctor``."""
+"""The command line: ``jaxstage list``, ``run``, ``compare``, ``precision``, ``doctor``."""
 
 import json
 import os
@@ -49,16 +49,21 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 @app.command("list")
 def list_loops() -> None:
-    """The published systems with their loops."""
+    """The published systems: loops, references, claims with their verdicts."""
     from rich.console import Console
     from rich.table import Table
 
     from jaxstage.studies import all_studies
+    from jaxstage.studies.claim import count
+    from jaxstage.studies.comparison import stored_verdicts
 
-    console = Console()
+    console = Console(highlight=False)
     for study in all_studies:
-        console.print(f"[bold]{study.name}[/bold]  {study.title}", highlight=False)
-        console.print(f"  {study.source}", highlight=False)
+        verdicts = ", ".join(f"{n} {v}" for v, n in count(stored_verdicts(study)).items())
+        console.print(f"[bold]{study.name}[/bold]  {study.title}")
+        console.print(f"  {study.source}")
+        console.print(f"  references: {', '.join(study.references)}")
+        console.print(f"  claims: {verdicts}  (jaxstage compare {study.name})")
         table = Table(box=None, show_header=False, padding=(0, 2))
         for entry in study.loops:
             table.add_row(entry.name, entry.summary)
@@ -104,6 +109,43 @@ def run(
         runs.check_folder(out)
     result = runs.execute(prepared, out)
     _print_result(prepared.summary, result, as_json, out)
+
+
+@app.command()
+def compare(
+    study: Annotated[str, typer.Argument(help="A study of `jaxstage list`, e.g. fuzzy-cmac.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for claims.png, the figures, compare.json.")
+    ] = None,
+    verdicts: Annotated[
+        bool, typer.Option("--verdicts", help="Print claim = verdict as TOML, nothing else.")
+    ] = False,
+) -> None:
+    """What a paper claims, what this simulation gives, and a computed verdict on each claim."""
+    from jaxstage.runtime import configure, cpu_cores
+
+    configure(precision="double", cores=cpu_cores(), cache="default")
+    from jaxstage.studies import compare as compare_study
+    from tuning import comparisons, runs
+
+    chosen = comparisons.find_study(study)
+    if out is not None:
+        runs.check_folder(out)
+    quiet = as_json or verdicts
+    compared = compare_study(chosen, lambda text: print(f"simulating {text}", file=sys.stderr))
+    if verdicts:
+        import tomli_w
+
+        print(tomli_w.dumps({j.id: j.verdict for j in compared.claims}), end="")
+    if as_json:
+        print(json.dumps(comparisons.as_object(compared), indent=2, allow_nan=False))
+    if not quiet:
+        comparisons.show(compared, None if sys.stdout.isatty() else 200)
+    if out is not None:
+        files = comparisons.draw(compared, out)
+        if not quiet:
+            print(f"{', '.join(file.name for file in files)}, compare.json: {out}/")
 
 
 @app.command()

@@ -10,25 +10,31 @@ from jaxstage.blocks import Metric
 from jaxstage.metrics.contour import contour, tangent_contour
 from jaxstage.metrics.effort import effort, saturation
 from jaxstage.metrics.energy import energy
-from jaxstage.metrics.tracking import following, quadrant_glitch, sliding_integral, tracking
+from jaxstage.metrics.sliding import sliding_figures
+from jaxstage.metrics.tracking import following, quadrant_glitch, tracking
 from jaxstage.metrics.windows import together
 
 
 @functools.cache
-def standard(surface: Callable[[Any], Array] | None = None) -> Metric:
+def standard(
+    surface: Callable[[Any], Array] | None = None,
+    contours: tuple[Metric, ...] = (contour, tangent_contour),
+    extra: tuple[Metric, ...] = (),
+    cutoff: float = 100.0,
+) -> Metric:
     """Tracking, following and contour errors, quadrant glitch, effort, saturation, energy.
 
     surface: picks the sliding variable (axes,) out of the controller's memory, for a law that
-    has one; adds the integral of its magnitude.
+    has one; adds its figures. contours: none for a single axis, which has no contour. extra:
+    what a system is judged by beside these. cutoff: of the chattering, Hz.
     """
     metrics = (
         tracking,
         following,
-        contour,
-        tangent_contour,
+        *contours,
         quadrant_glitch(),
-        effort(),
+        effort(cutoff),
         saturation,
         energy,
     )
-    return together(*metrics, *((sliding_integral(surface),) if surface else ()))
+    return together(*metrics, *((sliding_figures(surface),) if surface else ()), *extra)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.blocks import Metric
-from jaxstage.fields import pytree, signal
+from jaxstage.fields import definition, pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
 from jaxstage.numerics.geometry import norm
@@ -105,8 +105,28 @@ class GlitchSums:
     count: Array = signal("1", "", "reversals", shape="(axes,)")
 
 
+@definition
+class Side:
+    """Whose following error figures are about: that of the tool, which cuts, or of the drive.
+
+    name: begins the names of its metrics. glitch(mean, largest, count): report of its glitches.
+    """
+
+    name: str
+    error: Callable[[Sample], Array]
+    glitch: Callable[[Array, Array, Array], Any]
+
+
+def _tool_glitch(mean: Array, largest: Array, count: Array) -> QuadrantGlitch:
+    return QuadrantGlitch(glitch_mean=mean, glitch_max=largest, reversals=count)
+
+
+#: The tool; the other side is `drive.drive`.
+tool = Side(name="", error=following_error, glitch=_tool_glitch)
+
+
 @functools.cache
-def quadrant_glitch(span: float = 0.1) -> Metric:
+def quadrant_glitch(span: float = 0.1, side: Side = tool) -> Metric:
     """Peak |e| within ``span`` seconds after each reversal of the commanded velocity, per axis.
 
     A peak ends early at the next reversal; setting off from rest counts as one. NaN for an axis
@@ -125,7 +145,7 @@ def quadrant_glitch(span: float = 0.1) -> Metric:
         turned = ~unknown & (heading != 0) & (heading != acc.direction)
         elapsed = jnp.where(turned, jnp.zeros_like(acc.elapsed), acc.elapsed + dt)
         watched = turned | ((acc.count > 0) & (elapsed < span))
-        error = jnp.where(watched, jnp.abs(following_error(sample)), jnp.zeros_like(acc.peak))
+        error = jnp.where(watched, jnp.abs(side.error(sample)), jnp.zeros_like(acc.peak))
         peak = jnp.where(turned, error, jnp.maximum(acc.peak, error))
         return GlitchSums(
             direction=jnp.where(unknown | (heading != 0), heading, acc.direction),
@@ -136,38 +156,14 @@ def quadrant_glitch(span: float = 0.1) -> Metric:
             count=acc.count + turned.astype(acc.count.dtype),
         ), None
 
-    def finish(acc: GlitchSums) -> QuadrantGlitch:
+    def finish(acc: GlitchSums) -> Any:
         seen = acc.count > 0
         mean = (acc.total + acc.peak) / jnp.maximum(acc.count, 1)
-        return QuadrantGlitch(
-            glitch_mean=jnp.where(seen, mean, jnp.nan),
-            glitch_max=jnp.where(seen, acc.largest, jnp.nan),
-            reversals=acc.count,
+        return side.glitch(
+            jnp.where(seen, mean, jnp.nan), jnp.where(seen, acc.largest, jnp.nan), acc.count
         )
 
-    return Metric(name="quadrant_glitch", init=init, update=update, finish=finish)
-
-
-@pytree
-class SlidingIntegral:
-    """Integral of the magnitude of the sliding variable, bounded for a stable sliding law."""
-
-    sliding_integral: Array = signal("m", "int |s| dt", "integral of |s|", shape="(axes,)")
-
-
-@functools.cache
-def sliding_integral(surface: Callable[[Any], Array]) -> Metric:
-    """int |s| dt per axis; ``surface(memory)`` picks s (axes,) in m/s out of the memory."""
-
-    def update(acc: Array, sample: Sample, dt: float) -> tuple[Array, None]:
-        return acc + jnp.abs(surface(sample.memory)) * dt, None
-
-    return Metric(
-        name="sliding_integral",
-        init=lambda setpoint: jnp.zeros_like(setpoint.position),
-        update=update,
-        finish=lambda acc: SlidingIntegral(sliding_integral=acc),
-    )
+    return Metric(name=f"{side.name}quadrant_glitch", init=init, update=update, finish=finish)
 
 
 #: ATE and TESD; report `Tracking`.

@@ -13,15 +13,22 @@ command    what the drive was asked for, and a closer look at a reversal
 weights    what an adaptive law learned
 surface    sliding variable and phase plane
 pictures   all that apply to a run, as PNG files
+VIEWS      the pictures of one run by name
+chart      panels of lines or bars computed from a study's evidence
+claims     published figure, ours and verdict of all claims of a study
 
 The only part of the library that imports matplotlib; it uses no global figure or style.
 """
 
 from jaxstage.plot.axes import axes as axes
+from jaxstage.plot.chart import chart as chart
+from jaxstage.plot.claims import claims as claims
 from jaxstage.plot.command import command as command
 from jaxstage.plot.contour import contour as contour
 from jaxstage.plot.error import error as error
+from jaxstage.plot.pictures import VIEWS as VIEWS
 from jaxstage.plot.pictures import pictures as pictures
+from jaxstage.plot.pictures import save as save
 from jaxstage.plot.surface import surface as surface
 from jaxstage.plot.view import View as View
 from jaxstage.plot.view import view as view

@@ -18,6 +18,12 @@ from jaxstage.signals import Sample
 from jaxstage.studies import Case
 from jaxstage.studies.verdict import lost_because
 
+#: the pictures of one run by name
+VIEWS = {
+    "contour": contour, "axes": axes, "error": error, "command": command, "weights": weights,
+    "surface": surface,
+}  # fmt: skip
+
 
 def pictures(
     case: Case, report: Any, rows: Sample, result: Mapping[str, Any], folder: Path
@@ -30,9 +36,9 @@ def pictures(
     """
     shown = view(case, report, rows, lost_because(case, result["left_path_at"]))
     files = []
-    for name, draw, applies in _menu(shown):
+    for name, draw in VIEWS.items():
         file = folder / f"{name}.png"
-        if applies:
+        if _applies(name, shown):
             save(draw(shown), file)
             files.append(file)
         else:
@@ -50,14 +56,11 @@ def save(drawn: Figure, file: Path) -> None:
         partial.unlink(missing_ok=True)
 
 
-def _menu(shown: View) -> tuple[tuple[str, Any, bool], ...]:
-    """Name, drawing function and whether it applies."""
-    some = len(shown.time) > 0
-    return (
-        ("contour", contour, some and len(shown.axes) > 1),
-        ("axes", axes, some),
-        ("error", error, some),
-        ("command", command, some),
-        ("weights", weights, some and shown.weights is not None),
-        ("surface", surface, some and shown.surface is not None),
-    )
+def _applies(name: str, shown: View) -> bool:
+    """Whether a picture says something about this run."""
+    needed = {
+        "contour": len(shown.axes) > 1,
+        "weights": shown.weights is not None,
+        "surface": shown.surface is not None,
+    }
+    return len(shown.time) > 0 and needed.get(name, True)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 
 from jaxstage.metrics.tracking import direction
 from jaxstage.plot.numbers import envelope
@@ -56,7 +57,9 @@ def dress(ax: Axes, x: str, y: str) -> None:
     ax.set_ylabel(y, fontsize=NORMAL)
     ax.tick_params(labelsize=SMALL)
     for side in (ax.xaxis, ax.yaxis):
-        side.get_major_formatter().set_useOffset(False)  # type: ignore[attr-defined]
+        ticks = side.get_major_formatter()
+        if isinstance(ticks, ScalarFormatter):
+            ticks.set_useOffset(False)
     ax.grid(True, color="#DDDDDD", linewidth=0.8)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)

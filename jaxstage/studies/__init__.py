@@ -7,11 +7,13 @@ import jax.numpy as jnp
 from jaxstage.settings import nearest_name
 from jaxstage.studies import fuzzy_cmac as fuzzy_cmac
 from jaxstage.studies.case import Case as Case
-from jaxstage.studies.case import NamedLoop as NamedLoop
-from jaxstage.studies.case import Study as Study
 from jaxstage.studies.case import Timing as Timing
 from jaxstage.studies.case import with_metric as with_metric
+from jaxstage.studies.comparison import Comparison as Comparison
+from jaxstage.studies.comparison import compare as compare
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
+from jaxstage.studies.study import NamedLoop as NamedLoop
+from jaxstage.studies.study import Study as Study
 
 #: All studies.
 all_studies: tuple[Study, ...] = (fuzzy_cmac.study,)

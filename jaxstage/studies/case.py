@@ -1,7 +1,6 @@
 """A loop ready to run: what a study hands to a user."""
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from jaxstage.blocks import Loop, Metric
@@ -127,30 +126,3 @@ def scored(metric: Metric, ticks: Window) -> Metric:
 def with_metric(case: Case, metric: Metric) -> Case:
     """The case with another metric."""
     return case._replace(loop=replace(case.loop, metric=metric))
-
-
-def no_notes(case: Case) -> tuple[str, ...]:
-    """Nothing the user should know about the case."""
-    return ()
-
-
-@definition
-class NamedLoop:
-    """An entry of a study: name, one line on it, how to build it, its own timing, and what the
-    user should know about a case built from it (a limit that its gains pass, one line each)."""
-
-    name: str
-    summary: str
-    build: Callable[[Timing], Case]
-    timing: Timing = Timing()
-    notes: Callable[[Case], tuple[str, ...]] = no_notes
-
-
-@definition
-class Study:
-    """A published system: its source and its loops."""
-
-    name: str
-    title: str
-    source: str
-    loops: tuple[NamedLoop, ...]

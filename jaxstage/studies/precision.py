@@ -1,7 +1,5 @@
 """How far single precision is from double, per loop: measured, kept, and acted upon."""
 
-import tomllib
-from importlib import resources
 from typing import Any
 
 import jax
@@ -10,6 +8,7 @@ import jax.numpy as jnp
 from jaxstage.metrics import columns
 from jaxstage.rollout import simulate
 from jaxstage.studies.case import Case
+from jaxstage.studies.packaged import packaged_toml
 
 #: the figures that are compared
 HEADLINE = ("ate_um", "tesd_um", "contour_rms_um", "contour_max_um", "energy_J")
@@ -40,8 +39,7 @@ def compare_precision(case: Case) -> dict[str, float]:
 
 def stored_precision(study: str) -> dict[str, dict[str, float]]:
     """The measured table of a study, loop -> figure -> relative difference."""
-    folder = resources.files("jaxstage.studies") / study.replace("-", "_")
-    return tomllib.loads((folder / "precision.toml").read_text(encoding="utf-8"))
+    return packaged_toml(study, "precision.toml")
 
 
 def worst(table: dict[str, Any]) -> tuple[str, float]:

@@ -40,7 +40,8 @@ from jaxstage.references import bowknot, circle, heart, make_path, sampled, star
 from jaxstage.references.timing import constant_feed, uniform_parameter
 from jaxstage.sensors import ideal_sensor
 from jaxstage.signals import Scenario, Start
-from jaxstage.studies.case import Case, NamedLoop, Study, Timing, check_timing, scored, window
+from jaxstage.studies.case import Case, Timing, check_timing, scored, window
+from jaxstage.studies.study import NamedLoop, Spread
 
 #: following error beyond which a run counts as lost; the contours are about 60 mm wide (chosen)
 PATH_LIMIT = 0.1
@@ -77,6 +78,20 @@ def nominal() -> RigidAxis:
         coulomb=table.static,
         load=table.load,
     )
+
+
+_COMMISSIONED = "chosen: what is left after commissioning a drive"
+_DRY = "chosen: dry friction moves with temperature and lubrication; F_s stays above F_c"
+
+#: how uncertain the table is
+SPREADS = (
+    Spread(path="plant.force_constant", low=0.95, high=1.05, reason=_COMMISSIONED),
+    Spread(path="plant.mass", low=0.8, high=1.2, reason="chosen: workpieces"),
+    Spread(path="plant.damping", low=0.5, high=1.5, reason=_COMMISSIONED),
+    Spread(path="plant.coulomb", low=0.8, high=1.1, reason=_DRY),
+    Spread(path="plant.static", low=0.9, high=1.2, reason=_DRY),
+    Spread(path="plant.load", low=0.5, high=1.5, reason="chosen: cables and covers"),
+)
 
 
 def scenario() -> Scenario:
@@ -171,10 +186,16 @@ LAWS = (
     Law("cascade", "P position / PI velocity cascade", cascade, cascade_gains, None),
 )
 
+
+def law(name: str) -> Law:
+    """The law called ``name``."""
+    return next(law for law in LAWS if law.name == name)
+
+
 CONTOURS = {"circle": circle, "bowknot": bowknot, "heart": heart, "star": star}
 
 
-def case(law: Law, contour: str, timing: Timing) -> Case:
+def build(law: Law, contour: str, timing: Timing) -> Case:
     """One law of the study on one of its contours."""
     check_timing(timing)
     motion = (
@@ -209,17 +230,12 @@ def case(law: Law, contour: str, timing: Timing) -> Case:
     )
 
 
-study = Study(
-    name="fuzzy-cmac",
-    title="Direct fuzzy CMAC sliding-mode tracking of a biaxial stage",
-    source="Mao et al., Energies 2021, 14, 7802, doi:10.3390/en14227802",
-    loops=tuple(
-        NamedLoop(
-            name=f"{law.name}-{contour}",
-            summary=f"{law.summary}, {contour}",
-            build=functools.partial(case, law, contour),
-        )
-        for law in LAWS
-        for contour in CONTOURS
-    ),
+loops: tuple[NamedLoop, ...] = tuple(
+    NamedLoop(
+        name=f"{law.name}-{contour}",
+        summary=f"{law.summary}, {contour}",
+        build=functools.partial(build, law, contour),
+    )
+    for law in LAWS
+    for contour in CONTOURS
 )

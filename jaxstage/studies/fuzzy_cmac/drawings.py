@@ -1,0 +1,93 @@
+"""What `jaxstage compare fuzzy-cmac` draws beside the verdicts."""
+
+from functools import partial
+
+from jaxstage.studies.case import Timing
+from jaxstage.studies.claim import Evidence
+from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
+from jaxstage.studies.fuzzy_cmac.experiments import CREDITS, DRAWS, across_machines
+from jaxstage.studies.fuzzy_cmac.loops import CONTOURS, build, law
+from jaxstage.studies.fuzzy_cmac.table_claims import TABLE2
+
+NAMES = tuple(CONTOURS)
+
+
+def _lap(evidence: Evidence, name: str, figure: str) -> list[float | None]:
+    return [evidence[f"{name}-{c}/second lap"][figure] for c in NAMES]
+
+
+def _table2(evidence: Evidence) -> tuple[Chart, ...]:
+    charts = []
+    for figure, meaning in (("ate", "average tracking error"), ("tesd", "its deviation")):
+        lines = [
+            Line(f"{label}, {who}", NAMES, values)
+            for key, label in (("cmac", "CMAC"), ("dfcmac", "DFCMAC"))
+            for who, values in (
+                ("published", [TABLE2[f"{figure}_{key}"][c] for c in NAMES]),
+                ("here", _lap(evidence, key, f"{figure}_um")),
+            )
+        ]
+        charts.append(Chart(title=meaning, x="", y="µm", lines=tuple(lines), bars=True))
+    return tuple(charts)
+
+
+def _laws(evidence: Evidence) -> tuple[Chart, ...]:
+    lines = tuple(
+        Line(label, NAMES, [evidence[f"{name}-{c}"]["contour_rms_um"] for c in NAMES])
+        for name, label in (
+            ("sliding", "ideal sliding mode"), ("cmac", "CMAC"), ("dfcmac", "DFCMAC"),
+            ("cascade", "industrial cascade"),
+        )
+    )  # fmt: skip
+    return (
+        Chart(
+            title="as published", x="", y="contour error RMS in µm", lines=lines, bars=True,
+            log_y=True,
+        ),
+        Chart(
+            title=f"{DRAWS} uncertain machines, circle", x="machines, best first",
+            y="contour error RMS in µm", log_y=True,
+            lines=tuple(
+                Line(
+                    label, list(range(1, DRAWS + 1)),
+                    sorted(v for v in across_machines(evidence, name, "contour_rms_um") if v),
+                )
+                for name, label in (
+                    ("cmac", "CMAC"), ("dfcmac", "DFCMAC"), ("cascade", "industrial cascade")
+                )
+            ),
+        ),
+    )  # fmt: skip
+
+
+def _credits(evidence: Evidence) -> tuple[Chart, ...]:
+    names = [*(f"CMAC, credit {credit:g}" for credit in CREDITS.values()), "DFCMAC"]
+    keys = [*(f"cmac{suffix}" for suffix in CREDITS), "dfcmac"]
+    lines = tuple(Line(c, names, [evidence[f"{key}-{c}"]["ate_um"] for key in keys]) for c in NAMES)
+    return (Chart(title="ATE of the second lap", x="", y="µm", lines=lines, bars=True),)
+
+
+drawings: tuple[ChartDrawing | RunDrawing, ...] = (
+    ChartDrawing(
+        name="table2", title="Table 2: tracking error of the simulations", charts=_table2,
+        text="The level and the saving agree; which contour is hard does not.",
+    ),
+    ChartDrawing(
+        name="laws", title="All laws on the same machine", charts=_laws,
+        text="An industrial cascade with full feed-forward, tuned by hand, beside the "
+        "paper's laws. Right: on machines that none of them was told about.",
+    ),
+    ChartDrawing(
+        name="credits", title="What the improvement rests on", charts=_credits,
+        text="The learning rate makes the difference: with the credit 0.442 the conventional CMAC "
+        "learns as fast as the fuzzy one and is as good, with 1 it is better.",
+    ),
+    *(
+        RunDrawing(
+            name=f"figure{number:02d}-{contour}", text=f"Figure {number}: {contour}, DFCMAC",
+            case=partial(build, law("dfcmac"), contour, Timing()),
+            views=("axes", "contour", "weights"),
+        )
+        for number, contour in zip((7, 8, 9, 10), NAMES, strict=True)
+    ),
+)  # fmt: skip

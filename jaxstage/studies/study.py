@@ -1,0 +1,53 @@
+"""What a study is made of: a published system, its loops and what is claimed about them."""
+
+from collections.abc import Callable
+
+from jaxstage.fields import definition
+from jaxstage.studies.case import Case, Timing
+from jaxstage.studies.claim import Claim
+from jaxstage.studies.experiment import ChartDrawing, Experiment, RunDrawing
+
+
+def no_notes(case: Case) -> tuple[str, ...]:
+    """Nothing the user should know about the case."""
+    return ()
+
+
+@definition
+class NamedLoop:
+    """An entry of a study: name, one line on it, how to build it, its own timing, and what the
+    user should know about a case built from it (a limit that its gains pass, one line each)."""
+
+    name: str
+    summary: str
+    build: Callable[[Timing], Case]
+    timing: Timing = Timing()
+    notes: Callable[[Case], tuple[str, ...]] = no_notes
+
+
+@definition
+class Spread:
+    """How uncertain a value is: factors low..high on what stands at ``path`` of the scenario.
+
+    path: as in ``--set``, e.g. ``plant.mass``. reason: published, or chosen and why.
+    """
+
+    path: str
+    low: float
+    high: float
+    reason: str
+
+
+@definition
+class Study:
+    """A published system: its source, loops, references, spreads, experiments, claims, drawings."""
+
+    name: str
+    title: str
+    source: str
+    loops: tuple[NamedLoop, ...]
+    references: tuple[str, ...]
+    spreads: tuple[Spread, ...]
+    experiments: tuple[Experiment, ...]
+    claims: tuple[Claim, ...]
+    drawings: tuple[ChartDrawing | RunDrawing, ...]

@@ -1,0 +1,111 @@
+"""A study's claims against this simulation: as an object, as text, as pictures."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from jaxstage.metrics import record, together
+from jaxstage.settings import nearest_name
+from jaxstage.studies import Comparison, Study, all_studies, with_metric
+from jaxstage.studies.claim import count
+from jaxstage.studies.comparison import stored_verdicts
+from jaxstage.studies.experiment import ChartDrawing, RunDrawing
+from tuning.results import write_text
+
+COLOURS = {"holds": "green", "fails": "red", "unchecked": "dim"}
+
+
+def find_study(name: str) -> Study:
+    """The study called ``name``. Raises ValueError with the nearest known name."""
+    studies = {study.name: study for study in all_studies}
+    if name not in studies:
+        hint = nearest_name(name, studies)
+        raise ValueError(f"unknown study '{name}'{hint}: one of {', '.join(studies)}")
+    return studies[name]
+
+
+def as_object(compared: Comparison) -> dict[str, Any]:
+    """The object that ``--json`` prints."""
+    return {
+        "study": compared.study.name,
+        "source": compared.study.source,
+        "counts": count(compared.claims),
+        "claims": [judgement._asdict() for judgement in compared.claims],
+        "changed": changed(compared),
+    }
+
+
+def changed(compared: Comparison) -> list[str]:
+    """Claims whose verdict is not the one stored with the study."""
+    stored = stored_verdicts(compared.study)
+    return [j.id for j in compared.claims if stored.get(j.id) != j.verdict]
+
+
+def show(compared: Comparison, width: int | None = None) -> None:
+    """Print every claim with both figures, their difference, the verdict and its reason."""
+    console = Console(highlight=False, width=width)
+    console.print(f"[bold]{compared.study.name}[/bold]  {compared.study.title}")
+    console.print(compared.study.source)
+    table = Table(box=None, padding=(0, 1), header_style="bold")
+    for name in ("where", "claim"):
+        table.add_column(name, ratio=2 if name == "where" else 5, overflow="fold")
+    for name in ("published", "ours", "unit", "difference"):
+        table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
+    table.add_column("verdict", no_wrap=True)
+    table.add_column("reason", ratio=5, overflow="fold")
+    for j in compared.claims:
+        table.add_row(
+            j.where, j.text, _number(j.published), _number(j.ours), j.unit,
+            _difference(j.difference), f"[{COLOURS[j.verdict]}]{j.verdict}[/]", j.reason,
+        )  # fmt: skip
+    console.print(table)
+    numbers = count(compared.claims)
+    console.print(", ".join(f"{n} {verdict}" for verdict, n in numbers.items()))
+    if changed(compared):
+        console.print(f"not as stored with the study: {', '.join(changed(compared))}")
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"
+
+
+def _difference(share: float | None) -> str:
+    if share is None:
+        return ""
+    return f"{share:+.1%}" if abs(share) < 10 else f"{share:+.2g}".replace("e+0", "e") + " x"
+
+
+def draw(compared: Comparison, folder: Path) -> list[Path]:
+    """Write claims.png, the study's drawings and compare.json; returns the files."""
+    from jaxstage import plot
+
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / "claims.png"]
+    plot.save(plot.claims(compared.study.title, compared.claims), files[0])
+    for drawing in compared.study.drawings:
+        if isinstance(drawing, ChartDrawing):
+            file = folder / f"{drawing.name}.png"
+            panels = drawing.charts(compared.evidence)
+            plot.save(plot.chart(drawing.title, drawing.text, panels), file)
+            files.append(file)
+        else:
+            files += _draw_run(drawing, folder)
+    write_text(folder / "compare.json", json.dumps(as_object(compared), indent=2) + "\n")
+    return files
+
+
+def _draw_run(drawing: RunDrawing, folder: Path) -> list[Path]:
+    from jaxstage import plot
+
+    case = drawing.case()
+    run = with_metric(case, together(case.loop.metric, record)).simulate()
+    shown = plot.view(case, run.report["scored"], run.rows["record"])
+    files = []
+    for name in drawing.views:
+        file = folder / f"{drawing.name}-{name}.png"
+        plot.save(plot.VIEWS[name](shown), file)
+        files.append(file)
+    return files
