@@ -16,8 +16,8 @@ WIDTH, HEIGHT = 7.2, 5.2
 
 
 def chart(title: str, text: str, panels: tuple[Chart, ...]) -> Figure:
-    """One figure, panels side by side, three a row. title: of the figure. text: how to read it."""
-    columns = min(len(panels), 3)
+    """One figure of panels, up to three a row. title: of the figure. text: how to read it."""
+    columns = 2 if len(panels) == 4 else min(len(panels), 3)
     rows = -(-len(panels) // columns)
     width, height = WIDTH * columns + 0.6, HEIGHT * rows + 1.7
     drawn = Figure(figsize=(width, height), dpi=100, layout="constrained", facecolor="white")
@@ -51,6 +51,8 @@ def _panel(ax: Axes, panel: Chart) -> None:
         ax.set_xscale("log")
     if panel.log_y:
         ax.set_yscale("log")
+    if panel.equal:
+        ax.set_aspect("equal", adjustable="datalim")
     dress(ax, panel.x, panel.y)
     if panel.bars:
         ax.grid(False, axis="x")

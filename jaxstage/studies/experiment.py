@@ -110,7 +110,8 @@ class Line(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """One panel. x, y: axis labels with units. text: how to read it. bars: x holds names."""
+    """One panel. x, y: axis labels with units. text: how to read it. bars: x holds names. equal:
+    one scale for both axes, for paths."""
 
     title: str
     x: str
@@ -120,6 +121,7 @@ class Chart(NamedTuple):
     bars: bool = False
     log_x: bool = False
     log_y: bool = False
+    equal: bool = False
 
 
 @definition

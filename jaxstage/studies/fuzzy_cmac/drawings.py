@@ -2,6 +2,9 @@
 
 from functools import partial
 
+import numpy as np
+
+from jaxstage.references.nurbs import points
 from jaxstage.studies.case import Timing
 from jaxstage.studies.claim import Evidence
 from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
@@ -67,7 +70,26 @@ def _credits(evidence: Evidence) -> tuple[Chart, ...]:
     return (Chart(title="ATE of the second lap", x="", y="µm", lines=lines, bars=True),)
 
 
+def _contours(evidence: Evidence) -> tuple[Chart, ...]:
+    u = np.linspace(0.0, 1.0, 801)
+    charts = []
+    for name, curve in CONTOURS.items():
+        shape = curve()
+        path, polygon = points(shape, u) * 1e3, np.asarray(shape.control_points) * 1e3
+        lines = (
+            Line("control polygon", polygon[:, 0], polygon[:, 1]),
+            Line("contour", path[:, 0], path[:, 1]),
+        )
+        charts.append(Chart(title=name, x="x in mm", y="y in mm", lines=lines, equal=True))
+    return tuple(charts)
+
+
 drawings: tuple[ChartDrawing | RunDrawing, ...] = (
+    ChartDrawing(
+        name="figure06", title="Figure 6: the reference contours", charts=_contours,
+        text="Rational B-splines from the control points, knots and weights of Table 1. Heart and "
+        "star have corners, where no axis can follow without an error.",
+    ),
     ChartDrawing(
         name="table2", title="Table 2: tracking error of the simulations", charts=_table2,
         text="The level and the saving agree; which contour is hard does not.",
