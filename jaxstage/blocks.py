@@ -5,6 +5,7 @@ handed in explicitly, so that any of them can be batched, differentiated or tune
 tuple stands for "no parameters" and "no memory".
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -28,6 +29,11 @@ def keep(gains: Gains, memory: Memory, demand: Array, command: Array, dt: float)
     return memory
 
 
+def unlimited(gains: Gains) -> float:
+    """The `longest_period` of a law that states none."""
+    return math.inf
+
+
 @definition
 class Plant:
     """A machine. ``step`` integrates one substep of ``dt`` with ``applied`` held."""
@@ -46,12 +52,15 @@ class Plant:
 class Controller:
     """A law. ``control`` runs once a period; then ``settle`` hears the TOTAL demand of all laws
     and the command that the drive's limits left of it (observers use the command, anti-windup
-    the difference). What ``settle`` needs of the measurement, ``control`` keeps in the memory."""
+    the difference). What ``settle`` needs of the measurement, ``control`` keeps in the memory.
+    ``longest_period``: control period in s up to which the law's own memory is stable, elementwise
+    in the gains; a longer one is refused."""
 
     name: str
     init: Callable[[Gains, Setpoint, Measurement], Memory]
     control: Callable[[Gains, Memory, Setpoint, Measurement, float], tuple[Array, Memory]]
     settle: Callable[[Gains, Memory, Array, Array, float], Memory] = keep
+    longest_period: Callable[[Gains], Array | float] = unlimited
 
 
 @definition

@@ -45,6 +45,7 @@ def check(
         )
     _check_period(loop, path, in_axes[2])
     check_leaves(loop.plant, gains, "gains", in_axes[0], per_axis=True)
+    _check_law(loop, gains, in_axes[0])
     for name in ("plant", "load", "sensor", "drive", "start"):
         batch = getattr(in_axes[1], name)
         check_leaves(loop.plant, getattr(scenario, name), name, batch, per_axis=name == "sensor")
@@ -87,6 +88,30 @@ def _check_period(loop: Loop, path: Any, batch: Any) -> None:
         raise ValueError(
             f"loop.dt = {loop.dt:g} s, but the path has a tick every "
             f"{float(np.max(np.asarray(period))):g} s: make it for the dt of the loop"
+        )
+
+
+def _check_law(loop: Loop, gains: Any, batch: Any) -> None:
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(gains)):
+        return
+
+    def longest(one: Any) -> jax.Array:
+        return jnp.min(jnp.asarray(loop.controller.longest_period(one)))
+
+    pairs = zip(jax.tree.leaves(gains), jax.tree.leaves(batch), strict=True)
+    sizes = {leaf.shape[0] for leaf, axis in pairs if axis != SHARED}
+    if len(sizes) > 1:
+        return  # no batch: refused where batches are made
+    with jax.ensure_compile_time_eval():  # what else is under a trace does not matter here
+        if not sizes:
+            limit = float(longest(gains))
+        else:
+            lanes = jax.tree.map(lambda a: None if a == SHARED else a, batch)
+            limit = float(jnp.min(jax.vmap(longest, (lanes,))(gains)))
+    if loop.dt > limit * (1 + 1e-6):
+        raise ValueError(
+            f"loop.dt = {loop.dt:g} s: must be <= {limit:g} s, or {loop.controller.name} is "
+            "unstable with these gains"
         )
 
 

@@ -23,6 +23,7 @@ T = TypeVar("T")
 #: display unit -> (SI unit, number of display units in one SI unit)
 DISPLAY = {
     "um": ("m", 1e6),
+    "um2": ("m2", 1e12),
     "mm": ("m", 1e3),
     "mm/s": ("m/s", 1e3),
     "mm/min": ("m/s", 6e4),

@@ -1,10 +1,14 @@
 """What the controller sees of the truth."""
 
+import functools
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.blocks import Sensor
-from jaxstage.fields import param, pytree, signal
+from jaxstage.fields import param, part, pytree, replace, signal
 from jaxstage.numerics.filters import low_pass_weight
 from jaxstage.numerics.smooth import quantise
 from jaxstage.signals import Measurement, Output
@@ -82,3 +86,51 @@ ideal_sensor = Sensor(name="ideal_sensor", init=_ideal_init, read=_ideal_read)
 
 #: Quantised position, differenced and filtered velocity; params `Encoder`.
 encoder = Sensor(name="encoder", init=_encoder_init, read=_encoder_read)
+
+
+@functools.cache
+def motor_side(sensor: Sensor) -> Sensor:
+    """The sensor with the motor side in the place of the tool: any law then acts on the motor."""
+
+    def read(
+        params: Any, memory: Any, key: Array, output: Output, dt: float
+    ) -> tuple[Measurement, Any]:
+        seen, kept = sensor.read(params, memory, key, output, dt)
+        turned = replace(seen, position=seen.drive_position, velocity=seen.drive_velocity)
+        return turned, kept
+
+    return Sensor(name=f"motor_side[{sensor.name}]", init=sensor.init, read=read)
+
+
+@pytree
+class Noisy:
+    """Parameters of `noisy`."""
+
+    noise: Array = param("m", "sigma", "standard deviation of the position", low=0.0, shown="um")
+    sensor: Any = part("parameters of the sensor")
+
+
+@functools.cache
+def noisy(sensor: Sensor) -> Sensor:
+    """The sensor on a position with white noise, drawn anew in every period; params `Noisy`.
+
+    Tool and drive side have noise of their own. A sensor that differences makes a velocity of it,
+    one that quantises rounds it; a velocity that is not made from the position stays exact.
+    """
+
+    def init(params: Noisy, output: Output) -> Any:
+        return sensor.init(params.sensor, output)
+
+    def read(
+        params: Noisy, memory: Any, key: Array, output: Output, dt: float
+    ) -> tuple[Measurement, Any]:
+        own, tool, drive = jax.random.split(key, 3)
+        x, x_d = output.position, output.drive_position
+        shaken = replace(
+            output,
+            position=x + params.noise * jax.random.normal(tool, x.shape, x.dtype),
+            drive_position=x_d + params.noise * jax.random.normal(drive, x_d.shape, x_d.dtype),
+        )
+        return sensor.read(params.sensor, memory, own, shaken, dt)
+
+    return Sensor(name=f"noisy[{sensor.name}]", init=init, read=read)

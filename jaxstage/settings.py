@@ -90,8 +90,8 @@ def replaced(gains: Any, scenario: Scenario, path: str, value: Any) -> tuple[Any
     """Gains and scenario with the leaf at a full path replaced."""
     root, _, rest = path.partition(".")
     if root == "gains":
-        return _replaced(gains, rest.split("."), value), scenario
-    part = _replaced(getattr(scenario, root), rest.split("."), value)
+        return with_leaf(gains, rest.split("."), value), scenario
+    part = with_leaf(getattr(scenario, root), rest.split("."), value)
     return gains, replace(scenario, **{root: part})
 
 
@@ -119,15 +119,16 @@ def _sizes(shape: tuple[int, ...]) -> str:
     return f"one number or {shape[0]}" + (f", or an array {shape}" if len(shape) > 1 else "")
 
 
-def _replaced(tree: Any, names: list[str], value: Any) -> Any:
+def with_leaf(tree: Any, names: list[str], value: Any) -> Any:
+    """The tree with the leaf below the named fields replaced."""
     if not names:
         return value
     head, *rest = names
     if is_pytree_data(tree):
-        return replace(tree, **{head: _replaced(getattr(tree, head), rest, value)})
+        return replace(tree, **{head: with_leaf(getattr(tree, head), rest, value)})
     index = int(head)
     items = list(tree)
-    items[index] = _replaced(items[index], rest, value)
+    items[index] = with_leaf(items[index], rest, value)
     return type(tree)(items)
 
 

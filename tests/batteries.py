@@ -13,103 +13,58 @@ from jaxstage.blocks import Controller, Loop, Metric
 from jaxstage.controllers import (
     Both,
     Coupled,
+    DisturbanceObserver,
     Offset,
+    Pd,
+    Rates,
+    adaptive_sliding,
     cascade,
     cmac_sliding,
     crisp,
     cross_coupled,
+    difference,
+    disturbance_observer,
+    fuzzy_pid_contour,
     gaussian,
+    model_reference,
+    nonlinear_surface,
     offset_setpoint,
+    pd,
     per_axis,
     pi,
+    pid_contour,
     plus,
+    position_feedforward,
     sliding,
 )
+from jaxstage.controllers.parts import damping, error_rate, reaching
 from jaxstage.drives import ideal_drive
-from jaxstage.fields import gain, pytree, replace, signal
+from jaxstage.fields import gain, pytree, replace
 from jaxstage.loads import no_load
 from jaxstage.metrics import tracking
-from jaxstage.numerics.geometry import normal_part
-from jaxstage.numerics.smooth import Layer, SmoothWidth, exact, implicit, smooth
+from jaxstage.numerics.smooth import Layer, SmoothWidth, exact, implicit, sat, smooth
 from jaxstage.plants import pmsm_table
 from jaxstage.references import analytic
 from jaxstage.sensors import ideal_sensor
 from jaxstage.signals import Measurement, Setpoint
-from jaxstage.studies.fuzzy_cmac import loops
+from jaxstage.studies.adaptive_smc import values as screw
+from jaxstage.studies.fuzzy_ccc import values as stage
+from jaxstage.studies.fuzzy_cmac.loops import (
+    LAWS,
+    Law,
+    cascade_gains,
+    cmac_gains,
+    dfcmac_gains,
+    pi_gains,
+    scenario,
+    sliding_gains,
+)
+from jaxstage.studies.mrac_asmc import values as axis
 
 DT = 1e-4
 
 
-# --- toy laws ------------------------------------------------------------------------------
-
-
-@pytree
-class ContourGain:
-    """Gain of `contour_law`."""
-
-    stiffness: Array = gain("1/s2", "K_P", "acceleration per contour error", low=0.0)
-
-
-def _contour_control(
-    gains: ContourGain, memory: tuple[()], setpoint: Setpoint, seen: Measurement, dt: float
-) -> tuple[Array, tuple[()]]:
-    aside = normal_part(setpoint.position - seen.position, setpoint.tangent)
-    return gains.stiffness * aside, ()
-
-
-#: U = K_P eps, eps the tangent estimate of the contour error, any number of axes
-contour_law = Controller(
-    name="contour_law", init=lambda gains, setpoint, seen: (), control=_contour_control
-)
-
-
-@pytree
-class Observer:
-    """Gains of `observer`, one axis."""
-
-    first: Array = gain("1/s2", "k1", "gain on the disturbance", above=0.0)
-    second: Array = gain("1/s", "k2", "gain on the velocity", above=0.0)
-    authority: Array = gain("m/s2", "a_n", "acceleration per command", above=0.0)
-    damping: Array = gain("1/s", "b_n", "damping over mass", low=0.0)
-
-
-@pytree
-class ObserverMemory:
-    """Estimates, and the velocity last seen."""
-
-    disturbance: Array = signal("m/s2", "d^", "estimated disturbance")
-    velocity: Array = signal("m/s", "w^", "estimated velocity")
-    seen: Array = signal("m/s", "v", "measured velocity")
-
-
-def _observer_init(gains: Observer, setpoint: Setpoint, seen: Measurement) -> ObserverMemory:
-    return ObserverMemory(
-        disturbance=jnp.zeros_like(seen.velocity), velocity=seen.velocity, seen=seen.velocity
-    )
-
-
-def _observer_control(
-    gains: Observer, memory: ObserverMemory, setpoint: Setpoint, seen: Measurement, dt: float
-) -> tuple[Array, ObserverMemory]:
-    return memory.disturbance / gains.authority, replace(memory, seen=seen.velocity)
-
-
-def _observer_settle(
-    gains: Observer, memory: ObserverMemory, demand: Array, command: Array, dt: float
-) -> ObserverMemory:
-    """d^' = k1 (w^ - v); w^' = -d^ + a_n u - k2 (w^ - v) - b_n v; u the total command."""
-    off = memory.velocity - memory.seen
-    slope = gains.authority * command - memory.disturbance - gains.second * off
-    return ObserverMemory(
-        disturbance=memory.disturbance + dt * gains.first * off,
-        velocity=memory.velocity + dt * (slope - gains.damping * memory.seen),
-        seen=memory.seen,
-    )
-
-
-observer = Controller(
-    name="observer", init=_observer_init, control=_observer_control, settle=_observer_settle
-)
+# --- a toy shift ---------------------------------------------------------------------------
 
 
 @pytree
@@ -155,10 +110,10 @@ def _switched() -> list[Entry]:
     made = []
     for name in ("smooth", "implicit"):
         switch, params = SWITCHES[name]
-        gains = replace(loops.sliding_gains(), switch=params, switching_gain=_pair(2.0, 3.0))
+        gains = replace(sliding_gains(), switch=params, switching_gain=_pair(2.0, 3.0))
         make = functools.partial(_per_axis, sliding, switch)
         made.append(Entry(f"sliding-{name}", make, gains, name == "smooth"))
-        for receptive, values in ((crisp, loops.cmac_gains()), (gaussian, loops.dfcmac_gains())):
+        for receptive, values in ((crisp, cmac_gains()), (gaussian, dfcmac_gains())):
             make = functools.partial(_per_axis, cmac_sliding, receptive, switch)
             made.append(
                 Entry(f"cmac-{receptive.name}-{name}", make, replace(values, switch=params))
@@ -170,43 +125,89 @@ def _per_axis(maker: Callable[..., Controller], *arguments: Any) -> Controller:
     return per_axis(maker(*arguments))
 
 
-def _published(law: loops.Law) -> Entry:
+def _published(law: Law) -> Entry:
     settled = law.name in ("pi", "cascade")
     return Entry(law.name, functools.partial(per_axis, law.controller), law.gains(), settled)
 
 
 def _composed() -> list[Entry]:
-    spy = Observer(
-        first=_pair(2.5e5, 2e5), second=_pair(1e3, 9e2), authority=_pair(320.0, 342.0),
-        damping=_pair(33.0, 43.0),
+    steady = cascade_gains()
+    watching = DisturbanceObserver(
+        disturbance_gain=_pair(2.5e5, 2e5), velocity_gain=_pair(1e3, 9e2), nominal=steady.nominal
+    )
+    slid = replace(sliding_gains(), switch=SWITCHES["smooth"][1])
+    stiff = Pd(
+        proportional_gain=_pair(1e3, 1.2e3), derivative_gain=_pair(110.0, 112.0),
+        nominal=steady.nominal,
     )  # fmt: skip
-    steady = loops.cascade_gains()
+    per_acceleration = 1 / _pair(320.0, 342.0)
     return [
         Entry(
             "cascade+observer",
-            lambda: plus(per_axis(cascade), per_axis(observer)),
-            Both(law=steady, extra=spy),
+            lambda: plus(per_axis(cascade), per_axis(disturbance_observer)),
+            Both(law=steady, extra=watching),
         ),
         Entry(
-            "cross_coupled",
-            lambda: cross_coupled(per_axis(sliding(smooth)), contour_law),
-            Coupled(
-                law=replace(loops.sliding_gains(), switch=SWITCHES["smooth"][1]),
-                extra=ContourGain(stiffness=np.array(900.0)),
-                command_per_acceleration=1 / _pair(320.0, 342.0),
-            ),
+            "pid-coupled",
+            lambda: cross_coupled(per_axis(sliding(smooth)), pid_contour()),
+            Coupled(law=slid, extra=stage.pid_gains(), command_per_acceleration=per_acceleration),
             True,
+        ),
+        Entry(
+            "fuzzy-coupled",
+            lambda: cross_coupled(per_axis(pd), fuzzy_pid_contour()),
+            Coupled(
+                law=stiff, extra=stage.fuzzy_gains(), command_per_acceleration=per_acceleration
+            ),
         ),
         Entry(
             "offset",
             lambda: offset_setpoint(per_axis(pi), "lead", ahead),
-            Offset(law=loops.pi_gains(), offset=Lead(time=np.array(2e-4))),
+            Offset(law=pi_gains(), offset=Lead(time=np.array(2e-4))),
             True,
         ),
     ]
 
 
-ENTRIES = [*map(_published, loops.LAWS), *_switched(), *_composed()]
+def _surfaces() -> list[Entry]:
+    """The nonlinear surface in two of its forms; psi without a bound overflows far off."""
+    width = SmoothWidth(width=_pair(2e-2, 3e-2))
+    steady = screw.gains(screw.adaptive_gain(), q=0.5, switch=width)
+    rising = screw.gains(screw.integral_gain(rate=20.0), q=0.5, switch=width)
+    forms = {
+        "surface-adaptive": (
+            steady, (damping.bounded, reaching.adaptive, smooth, damping.differenced(),
+                     error_rate.differenced),
+        ),
+        "surface-modelled": (
+            rising, (damping.bounded, reaching.integral, sat, damping.modelled(-1)),
+        ),
+    }  # fmt: skip
+    return [
+        Entry(name, functools.partial(_per_axis, nonlinear_surface, *parts), gains)
+        for name, (gains, parts) in forms.items()
+    ]
+
+
+def _adaptive() -> list[Entry]:
+    """The adaptive law inside its inner loop and behind a feed-forward; soft, so that nothing
+    saturates where gradients are compared."""
+    law = replace(
+        axis.adaptive(100.0, 2e3, 2e-2), slope_rate=1e3, switching_rate=9.0, sharpness_rate=1e3
+    )
+    rates = Rates(input=1e-2, viscous=20.0, dry=20.0, constant=4.0)  # type: ignore[arg-type]
+    inner = replace(axis.inner(law), dry_width=0.05, leak=0.1, rates=rates)
+    gains = jax.tree.map(lambda x: x * _pair(1.0, 1.1), axis.ahead(inner))
+    return [
+        Entry(
+            "adaptive-mrac",
+            lambda: position_feedforward(per_axis(model_reference(adaptive_sliding(difference)))),
+            gains,
+        ),
+    ]
+
+
+ENTRIES = [*map(_published, LAWS), *_switched(), *_composed(), *_surfaces(), *_adaptive()]
 
 
 # --- a bench -------------------------------------------------------------------------------
@@ -277,4 +278,4 @@ def table_loop(controller: Controller, metric: Metric = tracking, **changes: Any
         metric=metric,
         dt=DT,
     )
-    return replace(loop, **changes), loops.scenario(), path
+    return replace(loop, **changes), scenario(), path

@@ -20,7 +20,7 @@ from jaxstage.rollout import simulate
 from jaxstage.sensors import Encoder, encoder
 from jaxstage.settings import SCENARIO_PARTS, known_leaves
 from jaxstage.studies import Timing, build
-from jaxstage.studies.fuzzy_cmac import loops
+from jaxstage.studies.fuzzy_cmac.loops import dfcmac_gains, pi_gains
 
 LOOP, SCENE, PATH = table_loop(per_axis(pi), load=sine_load, sensor=encoder, drive=current_drive(2))
 SCENE = replace(
@@ -29,7 +29,7 @@ SCENE = replace(
     sensor=Encoder(resolution=np.array(1e-6), bandwidth=np.array(np.inf)),
     drive=CurrentDrive(limit=np.full(2, np.inf), delay=np.array(1.0), lag=np.array(0.0)),
 )
-GAINS = loops.dfcmac_gains()
+GAINS = dfcmac_gains()
 KNOWN = known_leaves(GAINS, SCENE)
 
 
@@ -274,14 +274,14 @@ def test_nothing_is_raised_for_traced_values():
 
     def score(mass):
         there = replace(scene, plant=replace(plant, mass=mass))
-        run = simulate(loop, loops.pi_gains(), there, path, 200)
+        run = simulate(loop, pi_gains(), there, path, 200)
         return run.report.ate, run.final.left_path_at, run.final.non_finite_at
 
     masses = jnp.asarray([plant.mass, -plant.mass, [jnp.nan, 1.0]])
     ate, left, broken = jax.jit(jax.vmap(score))(masses)
     assert np.isfinite(ate[0]) and left[0] == broken[0] == -1
     assert np.isnan(ate[2]) and broken[2] >= 0
-    alone = simulate(loop, loops.pi_gains(), scene, path, 200)
+    alone = simulate(loop, pi_gains(), scene, path, 200)
     np.testing.assert_allclose(ate[0], alone.report.ate, rtol=1e-9)
     with pytest.raises(ValueError, match=r"plant.mass .x. .M. = -0.003 kg: must be > 0 kg"):
         score(masses[1])

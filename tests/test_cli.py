@@ -152,9 +152,9 @@ def test_figures_are_numbers_or_one_per_axis(jaxstage):
         numbers = value.values() if isinstance(value, dict) else [value]
         assert not isinstance(value, dict) or list(value) == ["x", "y"], key
         assert all(n is None or type(n) in (int, float) for n in numbers), key
-        assert split_key(key)[1] or key.startswith(("reversals", "saturated", "contour_beyond")), (
-            f"{key}: no unit"
-        )
+        assert split_key(key)[1] or key.startswith(
+            ("reversals", "saturated", "contour_beyond", "reaching_share")
+        ), f"{key}: no unit"
     for key in ("ate_um", "tesd_um", "contour_rms_um", "contour_max_um"):
         assert found["metrics"][key] > 0
     assert set(found["metrics"]["command_rms_A"]) == {"x", "y"}

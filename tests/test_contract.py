@@ -6,36 +6,35 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from batteries import (
-    ContourGain,
     Lead,
-    Observer,
     ahead,
-    contour_law,
-    observer,
     tracing,
     turning,
 )
-from jax import Array
 
 from jaxstage.blocks import Controller, Loop, Metric, Plant
 from jaxstage.controllers import (
     Both,
     Coupled,
+    DisturbanceObserver,
     Offset,
+    PidContour,
     RigidAxis,
     Sliding,
     cross_coupled,
+    disturbance_observer,
     offset_setpoint,
     per_axis,
+    pid_contour,
     plus,
     sliding,
 )
 from jaxstage.drives import CurrentDrive, current_drive, ideal_drive
-from jaxstage.fields import param, pytree, replace, signal
+from jaxstage.fields import replace
 from jaxstage.loads import SineLoad, no_load, sine_load
 from jaxstage.metrics import following, together, tracking
-from jaxstage.numerics.integrate import rk4
 from jaxstage.numerics.smooth import SmoothWidth, smooth
+from jaxstage.plants import PmlsmStage, pmlsm_stage
 from jaxstage.references import analytic, make_path, nurbs, sampled, uniform_parameter
 from jaxstage.rollout import _simulate, simulate
 from jaxstage.sensors import Encoder, encoder, ideal_sensor
@@ -45,61 +44,14 @@ DT = 2e-4
 XYZ = ("x", "y", "z")
 
 
-# --- a stage of three axes, integrated by RK4 ------------------------------------------------
-
-
-@pytree
-class Axis:
-    """Parameters: M p'' = K_f u - B p' - F."""
-
-    mass: Array = param("kg", "M", "mass", shape="(axes,)", above=0.0)
-    damping: Array = param("N s/m", "B", "damping", shape="(axes,)", low=0.0)
-    force_constant: Array = param("N/A", "K_f", "force constant", shape="(axes,)", above=0.0)
-
-
-@pytree
-class AxisState:
-    """Position and velocity."""
-
-    position: Array = signal("m", "p", "position", shape="(axes,)")
-    velocity: Array = signal("m/s", "v", "velocity", shape="(axes,)")
-
-
-def _init(params, output):
-    return AxisState(position=output.position, velocity=output.velocity)
-
-
-def _step(params, state, applied, force, dt):
-    def slope(state, fraction):
-        push = params.force_constant * applied - params.damping * state.velocity - force(fraction)
-        return AxisState(position=state.velocity, velocity=push / params.mass)
-
-    return rk4(slope, state, dt)
+# --- the stage with its load frozen over a step ------------------------------------------------
 
 
 def _frozen_step(params, state, applied, force, dt):
-    return _step(params, state, applied, lambda fraction: force(0.0), dt)
+    return pmlsm_stage().step(params, state, applied, lambda fraction: force(0.0), dt)
 
 
-def _observe(params, state):
-    x, v = state.position, state.velocity
-    return Output(position=x, velocity=v, drive_position=x, drive_velocity=v)
-
-
-def _power(params, before, after, applied, force, dt):
-    zero = jnp.zeros_like(applied)
-    return Power(copper=zero, mechanical=zero, dissipated=zero, load=zero, drawn=zero)
-
-
-def _stored(params, state):
-    return params.mass * state.velocity**2 / 2
-
-
-def stage(axes=XYZ, step=_step):
-    return Plant(
-        name="stage", axes=axes, command_unit="A", init=_init, step=step, observe=_observe,
-        power=_power, stored=_stored,
-    )  # fmt: skip
+FROZEN = replace(pmlsm_stage(("x",)), step=_frozen_step)
 
 
 # --- the loop --------------------------------------------------------------------------------
@@ -118,7 +70,7 @@ LOAD = np.array([20.0, -15.0, 10.0])
 
 
 def plant_params():
-    return Axis(mass=MASS, damping=DAMPING, force_constant=FORCE)
+    return PmlsmStage(mass=MASS, damping=DAMPING, force_constant=FORCE, resistance=np.zeros(3))
 
 
 def gains(stiffness=1000.0):
@@ -132,18 +84,21 @@ def gains(stiffness=1000.0):
         switch=SmoothWidth(width=np.full(3, 5e-3)),
         nominal=nominal,
     )
-    watch = Observer(
-        first=np.full(3, 250e3), second=np.full(3, 1e3), authority=FORCE / MASS,
-        damping=DAMPING / MASS,
+    watch = DisturbanceObserver(
+        disturbance_gain=np.full(3, 250e3), velocity_gain=np.full(3, 1e3), nominal=nominal
+    )
+    contour = PidContour(
+        proportional_gain=stiffness, integral_gain=0.0, derivative_gain=0.0, rest_speed=1e-6,
+        form=(),
     )  # fmt: skip
     return Coupled(
         law=Both(law=law, extra=watch),
-        extra=ContourGain(stiffness=stiffness),
+        extra=contour,
         command_per_acceleration=MASS / FORCE,
     )
 
 
-LAW = cross_coupled(plus(per_axis(sliding(smooth)), per_axis(observer)), contour_law)
+LAW = cross_coupled(plus(per_axis(sliding(smooth)), per_axis(disturbance_observer)), pid_contour())
 
 
 def scenario(limit=10.0, delay=0.0, lag=0.0, amplitude=0.0, resolution=1e-8):
@@ -162,7 +117,7 @@ def scenario(limit=10.0, delay=0.0, lag=0.0, amplitude=0.0, resolution=1e-8):
 
 def loop(metric=tracking, controller=LAW, **changes):
     base = Loop(
-        plant=stage(),
+        plant=pmlsm_stage(),
         controller=controller,
         reference=HELIX,
         load=sine_load,
@@ -254,12 +209,12 @@ def deaf(law, hears):
 def _estimate(sample):
     memory = sample.memory.law.extra
     memory = memory["inner"] if isinstance(memory, dict) else memory
-    return memory.disturbance, sample.command != sample.demand
+    return memory.estimate.disturbance, sample.command != sample.demand
 
 
 def estimates(watcher, limit=10.0, stiffness=1000.0):
     """d^ of every tick, (ticks, 3) m/s2, and the ticks at which the drive was at its limit."""
-    law = cross_coupled(plus(per_axis(sliding(smooth)), watcher), contour_law)
+    law = cross_coupled(plus(per_axis(sliding(smooth)), watcher), pid_contour())
     scene = scenario(limit, resolution=0.0)
     rows = simulate(
         loop(tracing(_estimate), law, sensor=ideal_sensor), gains(stiffness),
@@ -273,10 +228,10 @@ TRUE = LOAD / MASS
 
 def test_observer_finds_the_load_behind_coupling_and_saturation():
     """d - d^ obeys its own equation: what the drive cuts and what the coupling adds is no load."""
-    free, cut = estimates(per_axis(observer))
+    free, cut = estimates(per_axis(disturbance_observer))
     assert not cut.any()
     np.testing.assert_allclose(free[-1], TRUE, rtol=5e-3)
-    tight, cut = estimates(per_axis(observer), limit=1.3, stiffness=9000.0)
+    tight, cut = estimates(per_axis(disturbance_observer), limit=1.3, stiffness=9000.0)
     assert cut[:100].any() and cut.any(axis=0).sum() >= 2
     np.testing.assert_allclose(tight[-1], TRUE, rtol=5e-3)
     np.testing.assert_allclose(tight, free, atol=0.02 * np.abs(TRUE).max())
@@ -288,8 +243,8 @@ def test_observer_finds_the_load_behind_coupling_and_saturation():
     ids=["own law only", "demand, not command"],
 )
 def test_an_observer_that_hears_less_is_wrong(hears, name):
-    wrong, _ = estimates(deaf(per_axis(observer), hears), limit=1.3, stiffness=9000.0)
-    right, _ = estimates(per_axis(observer), limit=1.3, stiffness=9000.0)
+    wrong, _ = estimates(deaf(per_axis(disturbance_observer), hears), limit=1.3, stiffness=9000.0)
+    right, _ = estimates(per_axis(disturbance_observer), limit=1.3, stiffness=9000.0)
     assert np.abs(wrong - right).max() > 0.2 * np.abs(TRUE).max()
     if name == "own":
         assert np.abs(wrong[-1] - TRUE).max() > 0.2 * np.abs(TRUE).max()
@@ -332,14 +287,14 @@ def test_error_between_the_samples():
         control=lambda g, memory, wanted, seen, dt: (wanted.acceleration, memory),
     )
     bench = Loop(
-        plant=stage(("x", "y")), controller=still, reference=reference, load=sine_load,
+        plant=pmlsm_stage(("x", "y")), controller=still, reference=reference, load=sine_load,
         sensor=ideal_sensor, drive=ideal_drive, metric=peak_between(dt, substeps), dt=dt,
         substeps=substeps,
     )  # fmt: skip
     two = np.ones(2)
     ripple = amplitude / rate**2
     scene = Scenario(
-        plant=Axis(mass=two, damping=0 * two, force_constant=two),
+        plant=PmlsmStage(mass=two, damping=0 * two, force_constant=two, resistance=0 * two),
         # F = A cos(w t): x - r = ripple (cos(w t) - 1)
         load=SineLoad(
             amplitude=amplitude * two, frequency=rate * two, phase=two * np.pi / 2, bias=0 * two
@@ -360,7 +315,7 @@ def test_error_between_the_samples():
 # --- (e) a load that varies inside the step -----------------------------------------------------
 
 
-def distance_error(step, substeps):
+def distance_error(plant, substeps):
     """|x - x_exact| (m) after 1 s of M v' = -B v - A sin(w t) from rest, in periods of 50 ms."""
     mass, damping, amplitude, rate, end = 2.0, 3.0, 5.0, 9.0, 1.0
     one = np.ones(1)
@@ -371,12 +326,14 @@ def distance_error(step, substeps):
     )
     still = analytic("still", _still, 0.05)
     bench = Loop(
-        plant=stage(("x",), step), controller=quiet, reference=still, load=sine_load,
+        plant=plant, controller=quiet, reference=still, load=sine_load,
         sensor=ideal_sensor, drive=ideal_drive, metric=tracking, dt=0.05, substeps=substeps,
         path_limit=np.inf,
     )  # fmt: skip
     scene = Scenario(
-        plant=Axis(mass=mass * one, damping=damping * one, force_constant=one),
+        plant=PmlsmStage(
+            mass=mass * one, damping=damping * one, force_constant=one, resistance=0 * one
+        ),
         load=SineLoad(amplitude=amplitude * one, frequency=rate * one, phase=0 * one, bias=0 * one),
         sensor=(), drive=(), start=Start(offset=0 * one, velocity=0 * one), key=jax.random.key(0),
     )  # fmt: skip
@@ -394,13 +351,13 @@ def _still(params, time):
 
 
 def test_fourth_order_with_a_load_inside_the_step():
-    errors = [distance_error(_step, n) for n in (1, 2, 4)]
+    errors = [distance_error(pmlsm_stage(("x",)), n) for n in (1, 2, 4)]
     ratios = [errors[0] / errors[1], errors[1] / errors[2]]
     assert all(14 < r < 18 for r in ratios), ratios
 
 
 def test_first_order_with_a_load_frozen_at_its_start():
-    errors = [distance_error(_frozen_step, n) for n in (2, 4, 8)]
+    errors = [distance_error(FROZEN, n) for n in (2, 4, 8)]
     ratios = [errors[0] / errors[1], errors[1] / errors[2]]
     assert all(1.8 < r < 2.2 for r in ratios), ratios
 
@@ -525,13 +482,20 @@ def test_a_population_is_vmap_over_gains_and_loads():
 def test_equal_loops_share_one_compilation():
     before = _simulate._cache_size()
     for _ in range(2):
-        law = cross_coupled(plus(per_axis(sliding(smooth)), per_axis(observer)), contour_law)
-        again = loop(controller=law, drive=current_drive(3), plant=stage(), dt=DT)
+        law = cross_coupled(
+            plus(per_axis(sliding(smooth)), per_axis(disturbance_observer)), pid_contour()
+        )
+        again = loop(controller=law, drive=current_drive(3), plant=pmlsm_stage(), dt=DT)
         simulate(again, gains(), scenario(), PATH, 17)
     assert _simulate._cache_size() == before + 1
 
 
 # --- small things ---------------------------------------------------------------------------------
+
+
+def _no_power(params, before, after, applied, force, dt):
+    zero = jnp.zeros_like(applied)
+    return Power(copper=zero, mechanical=zero, dissipated=zero, load=zero, drawn=zero)
 
 
 def _clamped(axes):
@@ -543,7 +507,7 @@ def _clamped(axes):
 
     return Plant(
         name="clamped", axes=axes, command_unit="A", init=lambda params, output: (),
-        step=lambda params, state, applied, force, dt: (), observe=observe, power=_power,
+        step=lambda params, state, applied, force, dt: (), observe=observe, power=_no_power,
         stored=lambda params, state: jnp.zeros_like(params),
     )  # fmt: skip
 
@@ -590,8 +554,8 @@ def test_one_axis_of_the_stage():
     )
     line = analytic("line", _line, DT)
     bench = loop(
-        controller=plus(per_axis(sliding(smooth)), per_axis(observer)), plant=stage(("x",)),
-        reference=line,
+        controller=plus(per_axis(sliding(smooth)), per_axis(disturbance_observer)),
+        plant=pmlsm_stage(("x",)), reference=line,
     )  # fmt: skip
     run = simulate(bench, one, replace(scene, key=jax.random.key(0)), jnp.asarray([0.05]), 500)
     assert run.final.left_path_at == -1 and run.report.ate < 2e-4

@@ -9,13 +9,9 @@ import pytest
 from batteries import (
     DT,
     ENTRIES,
-    ContourGain,
     Lead,
-    Observer,
     ahead,
     cast,
-    contour_law,
-    observer,
     seen,
     setpoint,
     table_loop,
@@ -27,14 +23,18 @@ from jaxstage.blocks import Controller, keep
 from jaxstage.controllers import (
     Both,
     Coupled,
+    DisturbanceObserver,
     Offset,
+    PidContour,
     cascade,
     cmac_sliding,
     cross_coupled,
+    disturbance_observer,
     gaussian,
     offset_setpoint,
     per_axis,
     pi,
+    pid_contour,
     plus,
     sliding,
 )
@@ -43,7 +43,14 @@ from jaxstage.fields import leaves, pytree, replace, signal
 from jaxstage.numerics.smooth import Layer, exact, implicit
 from jaxstage.rollout import _simulate, simulate
 from jaxstage.studies import Timing, build
-from jaxstage.studies.fuzzy_cmac import loops
+from jaxstage.studies.fuzzy_cmac.loops import (
+    LAWS,
+    cascade_gains,
+    dfcmac_gains,
+    pi_gains,
+    scenario,
+    sliding_gains,
+)
 
 every_law = pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
 types = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64], ids=["f32", "f64"])
@@ -196,7 +203,7 @@ def test_gains_survive_a_file(entry, tmp_path):
     gains = jax.tree.map(lambda x: jnp.asarray(x * rng.uniform(0.5, 2, np.shape(x))), entry.gains)
     file = tmp_path / "gains.toml"
     file.write_text(settings.to_toml({"gains": gains}))
-    back, _, paths = settings.apply(cast(entry.gains), loops.scenario(), settings.read_toml(file))
+    back, _, paths = settings.apply(cast(entry.gains), scenario(), settings.read_toml(file))
     assert jax.tree.structure(back) == jax.tree.structure(gains)
     assert len(paths) == len(jax.tree.leaves(gains))
     jax.tree.map(np.testing.assert_array_equal, back, gains)
@@ -251,7 +258,7 @@ def test_no_retrace_for_changed_numbers():
         return table_loop(per_axis(cmac_sliding(gaussian, exact)))
 
     loop, scenario, path = loop_of()
-    gains = loops.dfcmac_gains()
+    gains = dfcmac_gains()
     before = _simulate._cache_size()
     variants = [
         (gains, scenario),
@@ -267,7 +274,7 @@ def test_no_retrace_for_changed_numbers():
 
 
 def test_no_retrace_for_python_floats():
-    law, gains = per_axis(pi), loops.pi_gains()
+    law, gains = per_axis(pi), pi_gains()
     loop, scenario, path = table_loop(offset_setpoint(law, "lead", ahead), drive=current_drive(2))
     before = _simulate._cache_size()
     for delay, time in enumerate((1e-4, np.float32(2e-4), jnp.asarray(3e-4))):
@@ -313,7 +320,7 @@ def spoken(x, y):
 @pytest.mark.fast
 def test_per_axis_is_the_law_on_each_axis():
     for entry in ENTRIES[:5]:
-        (single,) = (law.controller for law in loops.LAWS if law.name == entry.name)
+        (single,) = (law.controller for law in LAWS if law.name == entry.name)
         gains = cast(entry.gains)
         wanted, measured = bench(MOVING)
         demands, memory = compiled(entry.name)(gains, (wanted, measured), 0.3)
@@ -389,20 +396,23 @@ def test_offset_moves_what_the_law_follows_only():
 def test_a_composition_runs_as_its_parts():
     """A coupling and an observer that do nothing leave a run as it is, to the last digit."""
     axis = per_axis(cascade)
-    none = Observer(
-        first=np.full(2, 1e-300),
-        second=np.ones(2),
-        authority=np.full(2, 300.0),
-        damping=np.zeros(2),
+    none = DisturbanceObserver(
+        disturbance_gain=np.full(2, 1e-300),
+        velocity_gain=np.ones(2),
+        nominal=cascade_gains().nominal,
     )
-    composed = cross_coupled(plus(axis, per_axis(observer)), contour_law)
+    zero = np.zeros(())
+    no_coupling = PidContour(
+        proportional_gain=zero, integral_gain=zero, derivative_gain=zero, rest_speed=1e-6, form=()
+    )
+    composed = cross_coupled(plus(axis, per_axis(disturbance_observer)), pid_contour())
     gains = Coupled(
-        law=Both(law=loops.cascade_gains(), extra=none),
-        extra=ContourGain(stiffness=0.0),
+        law=Both(law=cascade_gains(), extra=none),
+        extra=no_coupling,
         command_per_acceleration=np.full(2, 3e-3),
     )
     loop, scenario, path = table_loop(axis)
-    plain = simulate(loop, loops.cascade_gains(), scenario, path, 300)
+    plain = simulate(loop, cascade_gains(), scenario, path, 300)
     wrapped = simulate(replace(loop, controller=composed), gains, scenario, path, 300)
     np.testing.assert_allclose(wrapped.report.ate, plain.report.ate, rtol=1e-9)
 
@@ -424,7 +434,7 @@ def reaching():
     loop, scenario, path = table_loop(per_axis(sliding(exact)), metric=tracing(slid_variables))
 
     def surfaces(eta, bound=1.0):
-        gains = loops.sliding_gains()
+        gains = sliding_gains()
         gains = replace(
             gains,
             switching_gain=np.full(2, eta),
@@ -439,7 +449,7 @@ def reaching():
 @pytest.mark.parametrize("eta", [1.0, 5.0])
 def test_sliding_variable_falls_at_least_at_eta(reaching, eta):
     surface, full = reaching(eta)
-    bound = np.asarray(loops.sliding_gains().disturbance_bound)
+    bound = np.asarray(sliding_gains().disturbance_bound)
     for axis in range(2):
         s = surface[:, axis]
         outside = s[:-1] > (full + bound)[axis] * DT
@@ -467,7 +477,7 @@ def slid():
         loop, scenario, path = table_loop(
             per_axis(sliding(switch)), metric=tracing(slid_variables), period=5.0
         )
-        gains = replace(loops.sliding_gains(), switch=params)
+        gains = replace(sliding_gains(), switch=params)
         surface, command = simulate(loop, gains, scenario, path, 100_000).rows
         surface = np.abs(surface)
         bound = np.asarray(gains.disturbance_bound)
@@ -511,7 +521,7 @@ def overshoot(law, gains, limit, offset=-0.002, count=3000):
 
 def test_cascade_does_not_wind_up():
     """2 mm off behind a drive that can just move: no overshoot, but millimetres for a deaf law."""
-    gains = loops.cascade_gains()
+    gains = cascade_gains()
     assert overshoot(cascade, gains, 0.45) < 1e-6
     assert overshoot(replace(cascade, settle=keep), gains, 0.45) > 1e-3
 
@@ -525,7 +535,7 @@ def test_cascade_integral_ends_at_the_limit():
     """Back-calculation has one fixed point: the integral alone gives the limit, b u = k_i I."""
     gains = cast(
         replace(
-            loops.cascade_gains(),
+            cascade_gains(),
             velocity_feedforward=np.zeros(2),
             acceleration_feedforward=np.zeros(2),
             friction_feedforward=np.zeros(2),
@@ -543,6 +553,6 @@ def test_cascade_integral_ends_at_the_limit():
 
 def test_pi_settles_on_the_command_it_was_given():
     """After a cut the integral IS the command of the drive: it leaves the limit at once."""
-    gains = cast(loops.pi_gains())
+    gains = cast(pi_gains())
     np.testing.assert_allclose(np.abs(windup(pi, gains, 5).command), 0.1, rtol=1e-12)
     assert (np.abs(windup(replace(pi, settle=keep), gains, 5).command) > 10).all()

@@ -23,14 +23,14 @@ from jaxstage.settings import (
     resolve,
     to_toml,
 )
-from jaxstage.studies.fuzzy_cmac import loops
+from jaxstage.studies.fuzzy_cmac.loops import dfcmac_gains, scenario
 from tuning import runs
 
-GAINS = cast(loops.dfcmac_gains())
+GAINS = cast(dfcmac_gains())
 SCENE = jax.tree.map(
     lambda x: x if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else jnp.asarray(x, jnp.float64),
     replace(
-        jax.tree.map(jnp.asarray, loops.scenario()),
+        jax.tree.map(jnp.asarray, scenario()),
         load=SineLoad(**{n: jnp.ones(2) for n in ("amplitude", "frequency", "phase", "bias")}),
         sensor=Encoder(resolution=jnp.asarray(1e-6), bandwidth=jnp.asarray(jnp.inf)),
         drive=CurrentDrive(

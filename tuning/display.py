@@ -14,7 +14,7 @@ def show(title: str, result: dict[str, Any]) -> None:
     console.print(f"[bold]{result['loop']}[/bold]  {title}")
     console.print(result["verdict"])
     console.print(
-        f"{result['duration_s']:g} s, {result['laps']:g} laps of {result['lap_time_s']:g} s, "
+        f"{result['duration_s']:g} s, {result['laps']:.4g} laps of {result['lap_time_s']:.4g} s, "
         f"control period {result['dt_s'] * 1e6:g} us, {result['precision']} precision"
     )
     if not result["finite"]:

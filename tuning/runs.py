@@ -13,9 +13,12 @@ from jaxstage import settings
 from jaxstage.check import check
 from jaxstage.fields import replace
 from jaxstage.metrics import record, together
+from jaxstage.signals import Run
 from jaxstage.studies import Case, Timing, all_studies, find, with_metric
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
+from jaxstage.studies.study import Recorded
 from tuning.results import summary, write_settings
+from tuning.scenario_file import plain_values, with_file_blocks
 
 #: settings that belong to the timing, with their types
 TIMING = {
@@ -25,11 +28,13 @@ TIMING = {
 
 
 class Prepared(NamedTuple):
-    """A case with all settings applied, and what the user should know about it."""
+    """A case with all settings applied, what the user should know about it, and the figures that
+    are taken from its record."""
 
     case: Case
     summary: str
     notes: tuple[str, ...]
+    recorded: tuple[Recorded, ...]
 
 
 def refuse_rough(name: str) -> None:
@@ -61,6 +66,8 @@ def prepare(
     given = dict(_word(word) for word in words)
     timing = _timing(entry.timing, {k: v for k, v in given.items() if k in TIMING}, duration)
     published = case = entry.build(timing)
+    if scenario_file is not None:
+        published = case = with_file_blocks(case, scenario_file)
     changed: tuple[str, ...] = ()
     for file, roots in ((gains_file, ("gains",)), (scenario_file, settings.SCENARIO_PARTS)):
         if file is not None:
@@ -71,14 +78,15 @@ def prepare(
     changed += paths
     check(case.loop, case.gains, case.scenario, case.path)
     notes = (*_notes(published, case, changed), *entry.notes(case))
-    return Prepared(case, entry.summary, notes)
+    return Prepared(case, entry.summary, notes, entry.recorded)
 
 
 def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
     """Simulate; with ``out``, write pictures and settings there. Returns the JSON object."""
     case = prepared.case
     metrics = (case.loop.metric, replace(case.metric, name="whole"), *((record,) if out else ()))
-    run = with_metric(case, together(*metrics)).simulate()
+    stored = (recorded.metric for recorded in prepared.recorded)
+    run = _with_recorded(prepared, with_metric(case, together(*metrics, *stored)).simulate())
     result = summary(case, run, prepared.notes)
     if out is not None:
         from jaxstage.plot import pictures
@@ -87,6 +95,22 @@ def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
         pictures(case, run.report["scored"], run.rows["record"], result, out)
         write_settings(out, case, result)
     return result
+
+
+def _with_recorded(prepared: Prepared, run: Run) -> Run:
+    """The run with the figures of its record among those of the scored part and of the whole."""
+    if not prepared.recorded:
+        return run
+    window, dt, report = prepared.case.window, prepared.case.loop.dt, dict(run.report)
+    for part, ticks in (("scored", slice(window.start, window.stop)), ("whole", slice(None))):
+        figures = {
+            recorded.metric.name: recorded.figures(
+                jax.tree.map(lambda row, t=ticks: row[t], run.rows[recorded.metric.name]), dt
+            )
+            for recorded in prepared.recorded
+        }
+        report[part] = report[part] | figures
+    return replace(run, report=report)
 
 
 def check_folder(out: Path) -> None:
@@ -117,9 +141,11 @@ def _numbers(name: str, text: str) -> list[float]:
 
 
 def _timing(own: Timing, words: Mapping[str, str], duration: float | None) -> Timing:
-    """The loop's own timing with changes; naming the scored lap drops its ``skip``."""
+    """The loop's own timing with changes; naming the scored lap drops its ``skip``, naming the
+    laps its ``duration``."""
     values: dict[str, Any] = {} if duration is None else {"duration": duration}
     values |= {"skip": None} if "scored" in words else {}
+    values |= {"duration": None} if "laps" in words and duration is None else {}
     for name, text in words.items():
         number, *more = _numbers(name, text)
         if more:
@@ -133,7 +159,7 @@ def _timing(own: Timing, words: Mapping[str, str], duration: float | None) -> Ti
 
 
 def _from_file(case: Case, file: Path, roots: tuple[str, ...]) -> tuple[Case, tuple[str, ...]]:
-    values = settings.read_toml(file)
+    values = plain_values(settings.read_toml(file))
     if "seed" in values and "plant" in roots:
         key = _key(file, values.pop("seed"))
         case = case._replace(scenario=replace(case.scenario, key=key))

@@ -1,5 +1,7 @@
 """Control laws, one file each, and the functions that compose them."""
 
+from jaxstage.controllers.adaptive_sliding import AdaptiveSliding as AdaptiveSliding
+from jaxstage.controllers.adaptive_sliding import adaptive_sliding as adaptive_sliding
 from jaxstage.controllers.cascade import Cascade as Cascade
 from jaxstage.controllers.cascade import cascade as cascade
 from jaxstage.controllers.cmac_sliding import CmacSliding as CmacSliding
@@ -11,11 +13,34 @@ from jaxstage.controllers.compose import cross_coupled as cross_coupled
 from jaxstage.controllers.compose import offset_setpoint as offset_setpoint
 from jaxstage.controllers.compose import per_axis as per_axis
 from jaxstage.controllers.compose import plus as plus
+from jaxstage.controllers.disturbance_observer import DisturbanceObserver as DisturbanceObserver
+from jaxstage.controllers.disturbance_observer import disturbance_observer as disturbance_observer
+from jaxstage.controllers.fuzzy_pid_contour import FuzzyPidContour as FuzzyPidContour
+from jaxstage.controllers.fuzzy_pid_contour import fuzzy_pid_contour as fuzzy_pid_contour
+from jaxstage.controllers.model_reference import Limits as Limits
+from jaxstage.controllers.model_reference import ModelReference as ModelReference
+from jaxstage.controllers.model_reference import Rates as Rates
+from jaxstage.controllers.model_reference import model_reference as model_reference
+from jaxstage.controllers.nonlinear_surface import NonlinearSurface as NonlinearSurface
+from jaxstage.controllers.nonlinear_surface import nonlinear_surface as nonlinear_surface
 from jaxstage.controllers.parts.cmac import Gaussian as Gaussian
 from jaxstage.controllers.parts.cmac import crisp as crisp
 from jaxstage.controllers.parts.cmac import gaussian as gaussian
+from jaxstage.controllers.parts.contour_error import Rounding as Rounding
+from jaxstage.controllers.parts.contour_error import scalar as scalar
+from jaxstage.controllers.parts.contour_error import vector as vector
+from jaxstage.controllers.parts.input_sign import difference as difference
+from jaxstage.controllers.parts.input_sign import forward as forward
+from jaxstage.controllers.parts.input_sign import moving as moving
+from jaxstage.controllers.parts.input_sign import position_input as position_input
 from jaxstage.controllers.parts.nominal import RigidAxis as RigidAxis
+from jaxstage.controllers.pd import Pd as Pd
+from jaxstage.controllers.pd import pd as pd
 from jaxstage.controllers.pi import Pi as Pi
 from jaxstage.controllers.pi import pi as pi
+from jaxstage.controllers.pid_contour import PidContour as PidContour
+from jaxstage.controllers.pid_contour import pid_contour as pid_contour
+from jaxstage.controllers.position_feedforward import PositionFeedforward as PositionFeedforward
+from jaxstage.controllers.position_feedforward import position_feedforward as position_feedforward
 from jaxstage.controllers.sliding import Sliding as Sliding
 from jaxstage.controllers.sliding import sliding as sliding

@@ -43,7 +43,7 @@ def per_axis(law: Controller) -> Controller:
     def settle_all(gains: Any, memory: Any, demand: Array, command: Array, dt: float) -> Any:
         return settle(_on_axes(gains, demand.shape[0]), memory, demand, command, dt)
 
-    return Controller(name=law.name, init=init_all, control=control_all, settle=settle_all)
+    return replace(law, init=init_all, control=control_all, settle=settle_all)
 
 
 def _on_axes(gains: Any, axes: int) -> Any:
@@ -82,7 +82,7 @@ class Coupled:
     law: Any = part("the law of the axes")
     extra: Any = part("the contour law")
     command_per_acceleration: Array = known(
-        "1", "1/a_n", "command that gives 1 m/s2, in command units", shape="(axes,)", above=0.0
+        "command s2/m", "1/a_n", "command that gives 1 m/s2", shape="(axes,)", above=0.0
     )
 
 
@@ -128,7 +128,13 @@ def _summed(
             ),
         )
 
-    return Controller(name=name, init=init, control=control, settle=settle)
+    def longest_period(gains: Any) -> Array:
+        both = law.longest_period(gains.law), extra.longest_period(gains.extra)
+        return jnp.minimum(*(jnp.min(jnp.asarray(period)) for period in both))
+
+    return Controller(
+        name=name, init=init, control=control, settle=settle, longest_period=longest_period
+    )
 
 
 @pytree
@@ -162,4 +168,10 @@ def offset_setpoint(
     def settle(gains: Offset, memory: Any, demand: Array, command: Array, dt: float) -> Any:
         return law.settle(gains.law, memory, demand, command, dt)
 
-    return Controller(name=f"{law.name} on {name}", init=init, control=control, settle=settle)
+    return Controller(
+        name=f"{law.name} on {name}",
+        init=init,
+        control=control,
+        settle=settle,
+        longest_period=lambda gains: law.longest_period(gains.law),
+    )

@@ -21,7 +21,7 @@ from typing import Any
 from jax import Array
 
 from jaxstage.blocks import Controller
-from jaxstage.controllers.parts.nominal import RigidAxis, authority
+from jaxstage.controllers.parts.nominal import RigidAxis, authority, drift
 from jaxstage.controllers.parts.surface import errors, linear_surface
 from jaxstage.fields import gain, known, part, pytree, signal
 from jaxstage.numerics.smooth import Switch, exact
@@ -64,11 +64,10 @@ def sliding(switch: Switch = exact) -> Controller:
     ) -> tuple[Array, SlidingMemory]:
         error, rate = errors(setpoint, measurement)
         surface = linear_surface(gains.slope, error, rate)
-        axis = gains.nominal
-        drift = -(axis.damping * measurement.velocity + axis.load) / axis.mass
         full = gains.disturbance_bound + gains.switching_gain
         switched = full * switch.apply(gains.switch, surface, full * dt)
-        wanted = gains.slope * rate - drift + setpoint.acceleration - switched
-        return wanted / authority(axis), SlidingMemory(surface=surface)
+        natural = drift(gains.nominal, measurement.velocity)
+        wanted = gains.slope * rate - natural + setpoint.acceleration - switched
+        return wanted / authority(gains.nominal), SlidingMemory(surface=surface)
 
     return Controller(name=f"sliding[{switch.name}]", init=_init, control=control)

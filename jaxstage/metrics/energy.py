@@ -16,6 +16,7 @@ class Energy:
     energy: Array = signal("J", "E", "drawn from the mains")
     energy_copper: Array = signal("J", "E_cu", "resistive loss")
     energy_mechanical: Array = signal("J", "E_m", "work of the motors, regeneration credited")
+    energy_net: Array = signal("J", "E_n", "both together: what a lossless supply would deliver")
     energy_dissipated: Array = signal("J", "E_d", "friction and damping")
     energy_load: Array = signal("J", "E_L", "work against external forces")
 
@@ -34,6 +35,7 @@ def _finish(acc: Power) -> Energy:
         energy=jnp.sum(acc.drawn),
         energy_copper=jnp.sum(acc.copper),
         energy_mechanical=jnp.sum(acc.mechanical),
+        energy_net=jnp.sum(acc.copper + acc.mechanical),
         energy_dissipated=jnp.sum(acc.dissipated),
         energy_load=jnp.sum(acc.load),
     )

@@ -21,18 +21,20 @@ def standard(
     contours: tuple[Metric, ...] = (contour, tangent_contour),
     extra: tuple[Metric, ...] = (),
     cutoff: float = 100.0,
+    reversal: float = 0.1,
 ) -> Metric:
     """Tracking, following and contour errors, quadrant glitch, effort, saturation, energy.
 
     surface: picks the sliding variable (axes,) out of the controller's memory, for a law that
     has one; adds its figures. contours: none for a single axis, which has no contour. extra:
-    what a system is judged by beside these. cutoff: of the chattering, Hz.
+    what a system is judged by beside these. cutoff: of the chattering, Hz. reversal: time after a
+    reversal that belongs to its quadrant glitch, s.
     """
     metrics = (
         tracking,
         following,
         *contours,
-        quadrant_glitch(),
+        quadrant_glitch(reversal),
         effort(cutoff),
         saturation,
         energy,

@@ -10,7 +10,9 @@ from jaxstage.blocks import Plant
 from jaxstage.fields import in_units_of, leaves
 
 #: the end of a key that is a unit
-_UNIT = re.compile(r"_((?:um|mm|m|s|A|V|W|J|N|Nm|Hz|rad|mWh|percent)\d?(?:_per_(?:s|m)\d?)?)$")
+_UNIT = re.compile(
+    r"_((?:1(?=_per)|um|mm|m|s|A|V|W|J|N|Nm|N2m2|Hz|rad|mWh|percent)\d?(?:_per_(?:s|m)\d?)?)$"
+)
 
 
 def key(name: str, unit: str) -> str:
@@ -51,5 +53,6 @@ def split_key(name: str) -> tuple[str, str]:
     found = _UNIT.search(name)
     if not found:
         return name.replace("_", " "), ""
-    unit = found[1].replace("_per_", "/").replace("Nm", "N m").replace("percent", "%")
+    unit = found[1].replace("_per_", "/").replace("percent", "%")
+    unit = re.sub(r"^(N\d?)m", r"\1 m", unit)
     return name[: found.start()].replace("_", " "), unit

@@ -1,7 +1,7 @@
 """Every kink of the library: sign, clip, dead band, play, floor.
 
 A kink that a user may want to soften is a `Switch`: a definition that maps a sliding variable to
-w in [-1, 1]. Its three forms are interchangeable and carry their width as a gain with a unit.
+w in [-1, 1]. Its forms are interchangeable and carry their width as a gain with a unit.
 """
 
 from collections.abc import Callable
@@ -21,6 +21,18 @@ def positive(x: Array) -> Array:
     """max(x, 0)."""
     with jax.named_scope(KINK + "positive"):
         return jnp.maximum(x, jnp.zeros_like(x))
+
+
+def sign(x: Array) -> Array:
+    """sgn x, with sgn 0 = 0 and gradient 0."""
+    with jax.named_scope(KINK + "sign"):
+        return jnp.sign(x)
+
+
+def magnitude(x: Array) -> Array:
+    """|x|, with gradient sgn x: 0 at 0."""
+    with jax.named_scope(KINK + "magnitude"):
+        return jnp.abs(x)
 
 
 def clamp(x: Array, limit: Array) -> Array:
@@ -93,10 +105,30 @@ def cell(coordinate: Array, cells: int) -> Array:
         return jnp.clip(jnp.floor(coordinate), 0, cells - 1).astype(jnp.int32)
 
 
-def within(x: Array, low: float, high: float) -> Array:
-    """clip(x, low, high): an input kept on its grid."""
+def within(x: Array, low: Array | float, high: Array | float) -> Array:
+    """clip(x, low, high): an input kept on its grid, a gain kept in its range."""
     with jax.named_scope(KINK + "within"):
         return jnp.clip(x, low, high)
+
+
+def away_from_zero(x: Array, floor: float) -> Array:
+    """x with a magnitude of at least ``floor`` and its own sign (+ at 0): a safe denominator."""
+    with jax.named_scope(KINK + "away_from_zero"):
+        limit = jnp.full_like(x, floor)
+        return jnp.where(jnp.abs(x) >= floor, x, jnp.where(x < 0, -limit, limit))
+
+
+def beyond(x: Array, limit: Array) -> Array:
+    """|x| sgn(|x| - limit): the magnitude, negative within the limit. It jumps at the limit."""
+    size = magnitude(x)
+    with jax.named_scope(KINK + "beyond"):
+        return size * jnp.sign(size - limit)
+
+
+def switched(x: Array, threshold: Array, above: Array, below: Array) -> Array:
+    """``above`` where x > threshold, else ``below``: a law of two branches, which jumps."""
+    with jax.named_scope(KINK + "switched"):
+        return jnp.where(x > threshold, above, below)
 
 
 @definition
@@ -112,19 +144,23 @@ class Switch:
 
 
 def _exact(params: tuple[()], surface: Array, reach: Array) -> Array:
-    with jax.named_scope(KINK + "sign"):
-        return jnp.sign(surface)
+    return sign(surface)
 
 
 @pytree
 class SmoothWidth:
-    """Parameters of the `smooth` switch."""
+    """Parameters of the `smooth` and `sat` switches."""
 
-    width: Array = gain("m/s", "phi", "width of the smooth switch", above=0.0, shown="mm/s")
+    width: Array = gain("m/s", "phi", "width of the switch", above=0.0, shown="mm/s")
 
 
 def _smooth(params: SmoothWidth, surface: Array, reach: Array) -> Array:
     return jnp.tanh(surface / params.width)
+
+
+def _sat(params: SmoothWidth, surface: Array, reach: Array) -> Array:
+    with jax.named_scope(KINK + "layer"):
+        return jnp.clip(surface / params.width, -1, 1)
 
 
 @pytree
@@ -148,6 +184,9 @@ exact = Switch(name="exact", apply=_exact)
 
 #: w = tanh(s / width); params `SmoothWidth`.
 smooth = Switch(name="smooth", apply=_smooth)
+
+#: w = sat(s / width) = clip(s / width, -1, 1), the classical boundary layer; params `SmoothWidth`.
+sat = Switch(name="sat", apply=_sat)
 
 #: w = clip(s / (kappa eta dt), -1, 1); params `Layer`. kappa = 1 is the implicit (dead-beat)
 #: step: it reaches s = 0 and stays. With delay, quantisation or filters kappa 4 to 8 is needed.

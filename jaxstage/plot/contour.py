@@ -14,6 +14,7 @@ from jaxstage.plot.style import (
     SMALL,
     dress,
     figure,
+    other_laps,
 )
 from jaxstage.plot.view import View
 
@@ -98,7 +99,7 @@ def _panel(
     others = [lap for lap in view.laps if not view.is_scored(lap) and view.lost is None]
     for index, lap in enumerate(others):
         _, other = _magnified(view, slice(*lap), pair, factor)
-        name = None if index else "other laps"
+        name = None if index else other_laps(view)
         ax.plot(*other.T, color=OTHER, linewidth=1.1, label=name, zorder=2)
     ring = np.concatenate([base, path[::-1]])
     ax.fill(*ring.T, color=SCORED, alpha=0.16, linewidth=0, zorder=1)

@@ -16,6 +16,7 @@ from jaxstage.plot.style import (
     limit,
     line,
     mark,
+    other_laps,
     reversals,
     time_axis,
 )
@@ -57,7 +58,7 @@ def _along(ax: Axes, view: View, factor: float, unit: str) -> None:
     part = view.scored_ticks()
     others = [lap for lap in view.laps if not view.is_scored(lap)]
     judged = [lap for lap in view.laps if view.is_scored(lap)]
-    named = "other laps" if view.lost is None else "until lost"
+    named = other_laps(view) if view.lost is None else "until lost"
     for index, lap in enumerate(others):
         _lap(ax, view, slice(*lap), factor, OTHER, "" if index else named)
     for index, lap in enumerate(judged):

@@ -11,6 +11,8 @@ from jaxstage.plot.axes import axes
 from jaxstage.plot.command import command
 from jaxstage.plot.contour import contour
 from jaxstage.plot.error import error
+from jaxstage.plot.schedule import schedule
+from jaxstage.plot.space import space
 from jaxstage.plot.surface import surface
 from jaxstage.plot.view import View, view
 from jaxstage.plot.weights import weights
@@ -21,7 +23,7 @@ from jaxstage.studies.verdict import lost_because
 #: the pictures of one run by name
 VIEWS = {
     "contour": contour, "axes": axes, "error": error, "command": command, "weights": weights,
-    "surface": surface,
+    "surface": surface, "space": space, "schedule": schedule,
 }  # fmt: skip
 
 
@@ -60,7 +62,10 @@ def _applies(name: str, shown: View) -> bool:
     """Whether a picture says something about this run."""
     needed = {
         "contour": len(shown.axes) > 1,
+        "error": len(shown.axes) > 1,
         "weights": shown.weights is not None,
         "surface": shown.surface is not None,
+        "space": len(shown.axes) == 3,
+        "schedule": shown.schedule is not None,
     }
     return len(shown.time) > 0 and needed.get(name, True)

@@ -86,6 +86,11 @@ def time_axis(ax: Axes, view: View, labelled: bool = False) -> None:
         ax.axvline(view.lost * view.dt, color=LOST, linewidth=1.5, linestyle="--", label=name)
 
 
+def other_laps(view: View) -> str:
+    """What the part of a run that figures do not cover is called."""
+    return "other laps" if len(view.laps) > 1 else "not scored"
+
+
 def note(ax: Axes, text: str, align: str = "left") -> None:
     """Small text above the left end of the panel, or above its middle (``center``)."""
     ax.text(

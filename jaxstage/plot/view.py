@@ -20,6 +20,7 @@ class View(NamedTuple):
     reference, velocity: commanded motion, (ticks, axes). error, rate: following error and its
     derivative. tool, nearest: the tool, and the curve point nearest to it. distance, arc: contour
     error and where on the lap. weights, surface, slope: of the law, None where it has none.
+    schedule: K_P, K_I, K_D of a law that schedules them, (ticks, 3), or None.
     curve: one lap of the reference. laps: (start, stop) of each lap, ``scored`` that of the scored
     part. lost: tick at which the run was lost, or None.
     """
@@ -42,6 +43,7 @@ class View(NamedTuple):
     weights: np.ndarray | None
     surface: np.ndarray | None
     slope: np.ndarray | None
+    schedule: np.ndarray | None
     curve: np.ndarray
     heading: np.ndarray
     laps: tuple[tuple[int, int], ...]
@@ -96,6 +98,7 @@ def view(case: Case, report: Any, rows: Sample, because: str = "the run was lost
         weights=_optional(rows.memory, "weights", kept),
         surface=_optional(rows.memory, "surface", kept),
         slope=_optional(case.gains, "slope", slice(None)),
+        schedule=_schedule(rows.memory, kept),
         curve=np.asarray(curve.position),
         heading=np.asarray(curve.tangent[0]),
         laps=tuple((k, min(k + lap, count)) for k in range(0, count, lap)),
@@ -119,12 +122,19 @@ def _optional(tree: Any, name: str, kept: slice) -> np.ndarray | None:
     return None if value is None else _array(value, kept)
 
 
+def _schedule(memory: Any, kept: slice) -> np.ndarray | None:
+    names = ("proportional_gain", "integral_gain", "derivative_gain")
+    found = [_optional(memory, name, kept) for name in names]
+    gains = [values for values in found if values is not None]
+    return np.stack(gains, axis=1) if len(gains) == len(names) else None
+
+
 def _footer(case: Case, dtype: str) -> str:
     lap = case.window.lap * case.loop.dt
     seed = int(jax.random.key_data(case.scenario.key)[-1])
     substeps = f"{case.loop.substeps} substep{'s' if case.loop.substeps > 1 else ''}"
     parts = (
-        f"{case.window.laps:g} laps of {time_text(lap)}",
+        f"{case.window.laps:.4g} lap{'' if case.window.laps == 1 else 's'} of {time_text(lap)}",
         f"control period {time_text(case.loop.dt)}, {substeps}",
         f"{'double' if dtype == 'float64' else 'single'} precision",
         f"seed {seed}",

@@ -5,7 +5,10 @@ import warnings
 import jax.numpy as jnp
 
 from jaxstage.settings import nearest_name
+from jaxstage.studies import adaptive_smc as adaptive_smc
+from jaxstage.studies import fuzzy_ccc as fuzzy_ccc
 from jaxstage.studies import fuzzy_cmac as fuzzy_cmac
+from jaxstage.studies import mrac_asmc as mrac_asmc
 from jaxstage.studies.case import Case as Case
 from jaxstage.studies.case import Timing as Timing
 from jaxstage.studies.case import with_metric as with_metric
@@ -16,7 +19,9 @@ from jaxstage.studies.study import NamedLoop as NamedLoop
 from jaxstage.studies.study import Study as Study
 
 #: All studies.
-all_studies: tuple[Study, ...] = (fuzzy_cmac.study,)
+all_studies: tuple[Study, ...] = (
+    fuzzy_cmac.study, adaptive_smc.study, fuzzy_ccc.study, mrac_asmc.study,
+)  # fmt: skip
 
 
 def loop_names() -> tuple[str, ...]:

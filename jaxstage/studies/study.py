@@ -1,7 +1,9 @@
 """What a study is made of: a published system, its loops and what is claimed about them."""
 
 from collections.abc import Callable
+from typing import Any
 
+from jaxstage.blocks import Metric
 from jaxstage.fields import definition
 from jaxstage.studies.case import Case, Timing
 from jaxstage.studies.claim import Claim
@@ -14,15 +16,28 @@ def no_notes(case: Case) -> tuple[str, ...]:
 
 
 @definition
+class Recorded:
+    """Figures that need every tick, such as spectra: for single runs only.
+
+    metric: stores what they need. figures(rows, dt): their report, of any part of the rows.
+    """
+
+    metric: Metric
+    figures: Callable[[Any, float], Any]
+
+
+@definition
 class NamedLoop:
-    """An entry of a study: name, one line on it, how to build it, its own timing, and what the
-    user should know about a case built from it (a limit that its gains pass, one line each)."""
+    """An entry of a study: name, one line on it, how to build it, its own timing, what the user
+    should know about a case built from it (a limit that its gains pass, one line each), and the
+    figures of a single run beside those of its metric."""
 
     name: str
     summary: str
     build: Callable[[Timing], Case]
     timing: Timing = Timing()
     notes: Callable[[Case], tuple[str, ...]] = no_notes
+    recorded: tuple[Recorded, ...] = ()
 
 
 @definition

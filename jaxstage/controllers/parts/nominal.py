@@ -19,3 +19,8 @@ class RigidAxis:
 def authority(nominal: RigidAxis) -> Array:
     """b = K_t / M: acceleration per command, m/s2 per command unit."""
     return nominal.force_constant / nominal.mass
+
+
+def drift(nominal: RigidAxis, velocity: Array) -> Array:
+    """f = -(B v + F_L) / M in m/s2: what the axis does without command and dry friction."""
+    return -(nominal.damping * velocity + nominal.load) / nominal.mass

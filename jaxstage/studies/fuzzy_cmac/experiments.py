@@ -10,11 +10,11 @@ from jaxstage.fields import replace
 from jaxstage.loads import CouplingLoad, SineLoad, all_loads, coupling_load, sine_load
 from jaxstage.metrics import contour as contour_error
 from jaxstage.metrics import effort, sliding_figures, together, tracking, windowed
-from jaxstage.settings import known_leaves, replaced
 from jaxstage.studies.case import Case, Timing, scored, with_metric
 from jaxstage.studies.claim import Evidence
 from jaxstage.studies.experiment import Experiment, measure, measure_windows
 from jaxstage.studies.fuzzy_cmac.loops import CONTOURS, SPREADS, build, law
+from jaxstage.studies.machines import other_machine
 
 #: the tables are judged at this control period: below it the figures follow the continuous law
 FINE = Timing(dt=2e-5)
@@ -72,14 +72,7 @@ def _disturbed(case: Case, amplitude: float, coupling: float) -> Case:
 
 
 def _uncertain(case: Case, seed: int) -> Case:
-    """The machine with every spread value drawn on its own per axis; the law's model stays."""
-    draw = np.random.default_rng(seed)
-    gains, scenario = case.gains, case.scenario
-    for spread in SPREADS:
-        value = known_leaves(gains, scenario)[spread.path][1]
-        factor = jnp.asarray(draw.uniform(spread.low, spread.high, jnp.shape(value)))
-        gains, scenario = replaced(gains, scenario, spread.path, value * factor)
-    return case._replace(gains=gains, scenario=scenario)
+    return other_machine(case, SPREADS, seed)
 
 
 def _disturbances(name: str) -> dict[str, Case]:

@@ -1,0 +1,158 @@
+"""Model-reference adaptive control inside any law: the axis is made to behave like a rigid one.
+
+The inner loop adds to the demand u_c of the law what makes y' follow a model of the nominal axis:
+
+    v_m' = b u_c + l (y' - v_m),   v_m(0) = y'(0),   e_m = y' - v_m
+    u = u_c + (1/b) sum_i W_i Phi_i,   Phi = (b u_c, y', tanh(y'/w_s), 1)
+    W_i' = -g_i e_m Phi_i - sigma W_i,   |W_i| <= W_max,i,   W(0) = 0
+
+Phi stands for a wrong input gain, viscous and dry friction and a constant load. For a rigid axis
+y'' = b u - d and sigma = 0, V = e_m^2/2 + sum (W_i - W_i*)^2/(2 g_i) has V' = -l e_m^2. A sample
+acts with its W first; then W takes an Euler step and v_m the exact one for held inputs.
+
+| symbol | field | unit |
+|---|---|---|
+| l | model_rate | 1/s |
+| w_s | dry_width | m/s |
+| sigma | leak | 1/s |
+| g_i | rates | `Rates` |
+| W_max,i | limits | `Limits` |
+| b | nominal: authority | m/s2 per command |
+
+Leave g_1 = 0 around a law that switches: an input gain that adapts to switching ruins the loop.
+Source: in place of the law that Zhang et al., Sensors 2023, 23, 9755, cite without printing it;
+equations and proof derived here.
+"""
+
+import functools
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.blocks import Controller
+from jaxstage.controllers.parts.nominal import RigidAxis, authority
+from jaxstage.fields import gain, part, pytree, signal
+from jaxstage.numerics.smooth import within
+from jaxstage.signals import Measurement, Setpoint
+
+
+@pytree
+class Rates:
+    """How fast each weight adapts."""
+
+    input: Array = gain("s2/m2", "g1", "adaptation of the input gain", low=0.0)
+    viscous: Array = gain("1/m2", "g2", "adaptation of the viscous term", low=0.0)
+    dry: Array = gain("1/s2", "g3", "adaptation of the dry friction", low=0.0)
+    constant: Array = gain("1/s2", "g4", "adaptation of the constant load", low=0.0)
+
+
+@pytree
+class Limits:
+    """Largest magnitude of each weight."""
+
+    input: Array = gain("1", "W1max", "input gain", low=0.0)
+    viscous: Array = gain("1/s", "W2max", "viscous term", low=0.0)
+    dry: Array = gain("m/s2", "W3max", "dry friction", low=0.0)
+    constant: Array = gain("m/s2", "W4max", "constant load", low=0.0)
+
+
+@pytree
+class Weights:
+    """What the inner loop has learned."""
+
+    input: Array = signal("1", "W1", "error of the input gain")
+    viscous: Array = signal("1/s", "W2", "viscous term")
+    dry: Array = signal("m/s2", "W3", "dry friction")
+    constant: Array = signal("m/s2", "W4", "constant load")
+
+
+@pytree
+class ModelReference:
+    """Gains of the inner loop, and of the law around it."""
+
+    law: Any = part("the law")
+    model_rate: Array = gain("1/s", "l", "how fast the model is drawn to the axis", above=0.0)
+    dry_width: Array = gain("m/s", "w_s", "speed of the dry friction term", above=0.0, shown="mm/s")
+    leak: Array = gain("1/s", "sigma", "forgetting of the weights", low=0.0)
+    rates: Rates = part("how fast the weights adapt")
+    limits: Limits = part("largest weights")
+    nominal: RigidAxis = part("the axis that is imitated")
+
+
+@pytree
+class ModelMemory:
+    """Memory of the inner loop, and of the law around it."""
+
+    law: Any = part("memory of the law")
+    model: Array = signal("m/s", "v_m", "velocity of the model", shown="mm/s")
+    weights: Weights = part("what the inner loop has learned")
+
+
+def _four(values: Rates | Limits | Weights) -> tuple[Array, Array, Array, Array]:
+    return values.input, values.viscous, values.dry, values.constant
+
+
+@functools.cache
+def model_reference(law: Controller) -> Controller:
+    """The law around the adaptive inner loop; gains `ModelReference`.
+
+    law: for one axis or several; the total demand and command reach its ``settle``.
+    """
+
+    def init(gains: ModelReference, setpoint: Setpoint, measurement: Measurement) -> ModelMemory:
+        none = jnp.zeros_like(measurement.velocity)
+        return ModelMemory(
+            law=law.init(gains.law, setpoint, measurement),
+            model=measurement.velocity,
+            weights=Weights(input=none, viscous=none, dry=none, constant=none),
+        )
+
+    def control(
+        gains: ModelReference,
+        memory: ModelMemory,
+        setpoint: Setpoint,
+        measurement: Measurement,
+        dt: float,
+    ) -> tuple[Array, ModelMemory]:
+        asked, kept = law.control(gains.law, memory.law, setpoint, measurement, dt)
+        b, v = authority(gains.nominal), measurement.velocity
+        features = (b * asked, v, jnp.tanh(v / gains.dry_width), jnp.ones_like(v))
+        weights = _four(memory.weights)
+        added = sum(w * phi for w, phi in zip(weights, features, strict=True))
+        error = v - memory.model
+        learned = [
+            within(w - dt * (g * error * phi + gains.leak * w), -most, most)
+            for w, g, phi, most in zip(
+                weights, _four(gains.rates), features, _four(gains.limits), strict=True
+            )
+        ]
+        old = jnp.exp(-gains.model_rate * dt)
+        model = old * memory.model + (1 - old) * (v + b * asked / gains.model_rate)
+        return asked + added / b, ModelMemory(
+            law=kept,
+            model=model,
+            weights=Weights(
+                input=learned[0], viscous=learned[1], dry=learned[2], constant=learned[3]
+            ),
+        )
+
+    def settle(
+        gains: ModelReference, memory: ModelMemory, demand: Array, command: Array, dt: float
+    ) -> ModelMemory:
+        kept = law.settle(gains.law, memory.law, demand, command, dt)
+        return ModelMemory(law=kept, model=memory.model, weights=memory.weights)
+
+    def longest_period(gains: ModelReference) -> Array:
+        """That of the law, and 2 / sigma of the weights."""
+        forgets = gains.leak > 0
+        weights = jnp.where(forgets, 2 / jnp.where(forgets, gains.leak, 1), jnp.inf)
+        return jnp.minimum(jnp.min(weights), jnp.min(jnp.asarray(law.longest_period(gains.law))))
+
+    return Controller(
+        name=f"model_reference[{law.name}]",
+        init=init,
+        control=control,
+        settle=settle,
+        longest_period=longest_period,
+    )

@@ -1,0 +1,159 @@
+"""The contour error as a cross-coupled law sees it: the deviation from the tangent, and its rate.
+
+    eps = e - (e.t) t,   t' = (r'' - (r''.t) t) / sqrt(|r'|^2 + v_0^2)
+    eps' = e' - (e'.t + e.t') t - (e.t) t'
+    D   = eps' - (eps'.t) t = e' - (e'.t) t - (e.t) t'          covariant rate, normal to the path
+    E   = sqrt(|eps|^2 + w^2) - w,   E' = eps.D / sqrt(|eps|^2 + w^2)     smooth magnitude
+
+|eps| and eps / |eps| have no derivative at 0, so wherever the magnitude is needed the rounded E
+takes its place. In three dimensions the magnitude carries no sign.
+
+A PID law on this error needs three vectors, and there are two readings of it, a `Form` each:
+
+| form | P | I | D |
+|---|---|---|---|
+| `vector` | eps | I, I' = eps - (I.t') t | D |
+| `scalar` | n E | n J, J' = E | n E' |
+
+with n = eps / sqrt(|eps|^2 + w^2). In `vector` the integral is carried along parallel to the path:
+kept in fixed axes it would turn into the tangent, where no contour error could unwind it. In
+`scalar`, the literal reading of "coupled gains times a PID of the contour error", J never falls.
+
+Source: Science Progress 2021, doi:10.1177/00368504211011847, in words ("shortest distance from the
+actual position to the tangent of the reference position", "direction of the normalized estimated
+contour error vector"); equations after Yeh and Hsu, which the paper cites. The rate, its
+projection, the rounding w, v_0 and the transport are derived here.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.controllers.parts.surface import errors
+from jaxstage.fields import definition, gain, pytree, signal
+from jaxstage.numerics.geometry import dot, normal_part
+from jaxstage.signals import Measurement, Setpoint
+
+AXES = "(axes,)"
+
+
+@pytree
+class ContourError:
+    """Deviation from the tangent at one instant."""
+
+    deviation: Array = signal("m", "eps", "estimated contour error", shape=AXES, shown="um")
+    rate: Array = signal("m/s", "D", "its covariant rate", shape=AXES, shown="mm/s")
+    tangent: Array = signal("1", "t", "unit tangent of the path", shape=AXES)
+    turning: Array = signal("1/s", "t'", "rate of the tangent", shape=AXES)
+
+
+def contour_error(setpoint: Setpoint, seen: Measurement, rest_speed: Array) -> ContourError:
+    """The estimate at one instant. rest_speed: () m/s, v_0, keeps t' finite at rest."""
+    error, rate = errors(setpoint, seen)
+    tangent = setpoint.tangent
+    speed = jnp.sqrt(dot(setpoint.velocity, setpoint.velocity) + rest_speed**2)
+    turning = normal_part(setpoint.acceleration, tangent) / speed
+    return ContourError(
+        deviation=normal_part(error, tangent),
+        rate=normal_part(rate, tangent) - dot(error, tangent) * turning,
+        tangent=tangent,
+        turning=turning,
+    )
+
+
+def magnitude(error: ContourError, rounding: Array) -> tuple[Array, Array, Array]:
+    """E in m, E' in m/s and the direction n (axes,). rounding: () m, w > 0."""
+    square = dot(error.deviation, error.deviation)
+    length = jnp.sqrt(square + rounding**2)
+    slope = dot(error.deviation, error.rate) / length
+    return square / (length + rounding), slope, error.deviation / length
+
+
+class PidTerms(NamedTuple):
+    """What the three gains multiply, each (axes,): m, m s and m/s."""
+
+    proportional: Array
+    integral: Array
+    derivative: Array
+
+
+@definition
+class Form:
+    """How a PID law reads the contour error.
+
+    start(zero): the integral at the start, from zeros (axes,). terms(params, error, integral):
+    `PidTerms`. rate(params, error, integral): derivative of the integral. share(params, error,
+    demand): the part of a demand (axes,) that the integral answers for, in its own shape.
+    """
+
+    name: str
+    start: Callable[[Array], Array]
+    terms: Callable[[Any, ContourError, Array], PidTerms]
+    rate: Callable[[Any, ContourError, Array], Array]
+    share: Callable[[Any, ContourError, Array], Array]
+
+
+def unwinding(form: Form, params: Any, error: ContourError, cut: Array, stiffness: Array) -> Array:
+    """What the rate of the integral gets from a drive at its limit: share(cut) / stiffness.
+
+    Back-calculation: the error that would have met the limit. cut: (axes,) m/s2, command minus
+    demand. stiffness: () 1/s2, K_P + K_I dt; without any, 0.
+    """
+    soft = stiffness > 0
+    answer = form.share(params, error, cut) / jnp.where(soft, stiffness, 1)
+    return jnp.where(soft, answer, 0)
+
+
+def _vector_terms(params: tuple[()], error: ContourError, integral: Array) -> PidTerms:
+    # the rate keeps I normal to a smooth path; at a corner the tangent jumps
+    across = normal_part(integral, error.tangent)
+    return PidTerms(proportional=error.deviation, integral=across, derivative=error.rate)
+
+
+def _vector_rate(params: tuple[()], error: ContourError, integral: Array) -> Array:
+    return error.deviation - dot(integral, error.turning) * error.tangent
+
+
+@pytree
+class Rounding:
+    """Parameters of the `scalar` form."""
+
+    rounding: Array = gain(
+        "m", "w", "contour error below which its magnitude is rounded", above=0.0, shown="um"
+    )
+
+
+def _scalar_terms(params: Rounding, error: ContourError, integral: Array) -> PidTerms:
+    size, rate, direction = magnitude(error, params.rounding)
+    return PidTerms(
+        proportional=size * direction, integral=integral * direction, derivative=rate * direction
+    )
+
+
+def _scalar_rate(params: Rounding, error: ContourError, integral: Array) -> Array:
+    return magnitude(error, params.rounding)[0]
+
+
+def _scalar_share(params: Rounding, error: ContourError, demand: Array) -> Array:
+    return dot(demand, magnitude(error, params.rounding)[2])
+
+
+#: the deviation as a vector; params ``()``
+vector = Form(
+    name="vector",
+    start=lambda zero: zero,
+    terms=_vector_terms,
+    rate=_vector_rate,
+    share=lambda params, error, demand: normal_part(demand, error.tangent),
+)
+
+#: the magnitude along the direction of the deviation; params `Rounding`
+scalar = Form(
+    name="scalar",
+    start=lambda zero: jnp.sum(zero),
+    terms=_scalar_terms,
+    rate=_scalar_rate,
+    share=_scalar_share,
+)

@@ -1,0 +1,122 @@
+"""A fuzzy system of two inputs: Gaussian sets, product inference, centre average.
+
+    mu_k(x) = exp(-((x - c_k) / sigma)^2)
+    xi_ab = mu_a(x1) mu_b(x2) / sum,   sum of xi = 1,   y = sum_ab theta_ab xi_ab
+
+Row a belongs to the first input, column b to the second. The normalised mu is computed as a
+softmax: far from every set it has no 0/0, where the plain quotient underflows.
+
+Source: Science Progress 2021, doi:10.1177/00368504211011847: product inference engine, singleton
+fuzzifier and centre-average defuzzifier, as L.-X. Wang defines them. Number, shape and width of the
+sets are lost with its figures and chosen here.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxstage.fields import gain, pytree
+
+#: names of seven sets, from negative big to positive big
+LABELS = ("NB", "NM", "NS", "ZO", "PS", "PM", "PB")
+
+#: centre of the outermost set; inputs are limited to it
+REACH = 3.0
+
+#: width with which sets at distance 1 cross at one half
+HALF_CROSSING = 0.5 / math.sqrt(math.log(2.0))
+
+
+@pytree
+class Sets:
+    """Gaussian sets of one input."""
+
+    centres: Array = gain("1", "c", "centres of the sets", shape="(sets,)")
+    width: Array = gain("1", "sigma", "width of the sets", above=0.0)
+
+
+def seven_sets() -> Sets:
+    """Centres -3 ... 3, neighbours crossing at one half."""
+    centres, width = np.arange(-3.0, 4.0), np.array(HALF_CROSSING)
+    return Sets(centres=cast(Array, centres), width=cast(Array, width))
+
+
+def limited(x: Array) -> Array:
+    """3 tanh x: any input into the range of the sets, smoothly."""
+    return REACH * jnp.tanh(x)
+
+
+def _exponent(sets: Sets, x: Array) -> Array:
+    return -(((x - sets.centres) / sets.width) ** 2)
+
+
+def membership(sets: Sets, x: Array) -> Array:
+    """mu_k(x), (sets,). x: ()."""
+    return jnp.exp(_exponent(sets, x))
+
+
+def degrees(sets: Sets, x: Array) -> Array:
+    """mu_k(x) / sum of mu, (sets,); finite for any finite x. x: ()."""
+    return jax.nn.softmax(_exponent(sets, x))
+
+
+def strengths(first: Sets, second: Sets, x1: Array, x2: Array) -> Array:
+    """xi, (sets of the first input, sets of the second); sum 1. x1, x2: ()."""
+    return degrees(first, x1)[:, None] * degrees(second, x2)[None, :]
+
+
+def infer(consequents: Array, xi: Array) -> Array:
+    """y = sum theta xi. consequents, xi: (sets, sets)."""
+    return jnp.sum(consequents * xi)
+
+
+def levels(table: str) -> np.ndarray:
+    """A rule table in words as numbers -3 (NB) ... 3 (PB).
+
+    table: rows in lines, labels apart by blanks. Raises ValueError for an unknown label and for
+    rows of different lengths.
+    """
+    rows = [line.split() for line in table.strip().splitlines()]
+    if len({len(row) for row in rows}) != 1:
+        raise ValueError("the rows of a rule table need the same length")
+    unknown = sorted({label for row in rows for label in row} - set(LABELS))
+    if unknown:
+        raise ValueError(f"unknown set {unknown[0]}: use one of {', '.join(LABELS)}")
+    return np.array([[LABELS.index(label) - 3 for label in row] for row in rows])
+
+
+def consequents(base: float, spread: float, table: str) -> Array:
+    """base + spread level / 3 of every rule, in the unit of ``base``, as a numpy array."""
+    return cast(Array, base + spread * levels(table) / 3)
+
+
+def rules_text(
+    values: Array | np.ndarray,
+    output: str,
+    inputs: tuple[str, str] = ("E", "E'"),
+    labels: Sequence[str] = LABELS,
+) -> str:
+    """The rule base as people read it, one line a row of the first input.
+
+    values: consequents (sets, sets). output: name and unit, e.g. ``K_P in 1/s2``. Raises
+    ValueError where the labels do not fit.
+    """
+    table = np.asarray(values, float)
+    if table.shape != (len(labels), len(labels)):
+        raise ValueError(f"{len(labels)} labels do not fit rules of shape {table.shape}")
+    cells = [[f"{value:.4g}" for value in row] for row in table]
+    wide = max(len(text) for text in [*labels, *(cell for row in cells for cell in row)])
+    head = f"if {inputs[0]} is"
+    margin = max(len(head), *(len(label) for label in labels))
+    first = f"{output}: rows {inputs[0]}, columns {inputs[1]}"
+    second = f"{head:<{margin}} | " + " ".join(f"{label:>{wide}}" for label in labels)
+    body = [
+        f"{label:<{margin}} | " + " ".join(f"{cell:>{wide}}" for cell in row)
+        for label, row in zip(labels, cells, strict=True)
+    ]
+    return "\n".join([first, second, *body])

@@ -1,0 +1,55 @@
+"""q, the sign of d(theta)/du in an adaptive law: which way the input is taken to move the axis.
+
+| form | q | remark |
+|---|---|---|
+| `forward` | 1 | a positive command pushes the axis forward |
+| `position_input` | sgn(y u) | as printed; for a position y >= 0 it is sgn u, which fails |
+| `moving` | sgn y' | |
+| `difference` | sgn((y_k - y_k-1)(u_k - u_k-1)) | the discrete form of the derivative |
+
+y, y': measured position and velocity; u: the command of the same sample, within the limits of the
+drive. Before the first sample y stands still and u is 0.
+Source: Zhang et al., Sensors 2023, 23, 9755, text before equation (15); the others are readings.
+"""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.fields import definition, pytree, signal
+from jaxstage.numerics.smooth import sign
+
+
+@pytree
+class Exchange:
+    """What the axis was told and did, in this sample and the one before."""
+
+    position: Array = signal("m", "y", "measured position")
+    velocity: Array = signal("m/s", "y'", "measured velocity")
+    command: Array = signal("command", "u", "command")
+    last_position: Array = signal("m", "y_k-1", "measured position before")
+    last_command: Array = signal("command", "u_k-1", "command before")
+
+
+@definition
+class InputSign:
+    """q in {-1, 0, 1} of a sample."""
+
+    name: str
+    of: Callable[[Exchange], Array]
+
+
+def _position_input(seen: Exchange) -> Array:
+    return sign(seen.position * seen.command)
+
+
+def _difference(seen: Exchange) -> Array:
+    moved = seen.position - seen.last_position
+    return sign(moved * (seen.command - seen.last_command))
+
+
+forward = InputSign(name="forward", of=lambda seen: jnp.ones_like(seen.position))
+position_input = InputSign(name="position_input", of=_position_input)
+moving = InputSign(name="moving", of=lambda seen: sign(seen.velocity))
+difference = InputSign(name="difference", of=_difference)

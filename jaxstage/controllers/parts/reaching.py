@@ -1,0 +1,102 @@
+"""The reaching gain K of a sliding-mode law: how fast s decays, s' = -K s, and how K adapts.
+
+| form | K' | range | params |
+|---|---|---|---|
+| `fixed` | 0 | | `FixedGain` |
+| `adaptive` | a if K > alpha, else mu (14) | 0 .. K_max | `AdaptiveGain` |
+| `adaptive_floored` | a | alpha .. K_max | `AdaptiveGain` |
+| `integral` | rho s^2 | 0 .. K_max | `IntegralGain` |
+
+with a = kbar m sgn(m - eps), m the magnitude of s.
+
+Each is an explicit Euler step of one period, used from the next sample on. `adaptive` jumps between
+its branches, which ruins gradients; `adaptive_floored` keeps K at the floor instead and differs
+only there (mu has no effect).
+
+K rises while |s| > eps and falls while |s| < eps. In a smooth loop |s| is about |d| / (J K), so K
+settles near |d| / (J eps), whatever its start, and rises above K(0) only if eps < |d| / (J K(0)).
+
+Source: Msukwa and Uchiyama, IEEE Access 7 (2019), equation (14); the integral law is that of their
+reference [32]. The cap is a choice. All values of (14) are missing there.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from jax import Array
+
+from jaxstage.fields import definition, gain, pytree
+from jaxstage.numerics.smooth import beyond, switched, within
+
+
+@definition
+class ReachingGain:
+    """K in 1/s: start(params), then update(params, K, s, dt) once a period."""
+
+    name: str
+    start: Callable[[Any], Array]
+    update: Callable[[Any, Array, Array, float], Array]
+
+
+@pytree
+class FixedGain:
+    """Parameter of `fixed`."""
+
+    start: Array = gain("1/s", "K0", "reaching gain", low=0.0)
+
+
+@pytree
+class AdaptiveGain:
+    """Parameters of `adaptive` and `adaptive_floored`."""
+
+    start: Array = gain("1/s", "K0", "reaching gain at the start", low=0.0)
+    rate: Array = gain("1/m s", "kbar", "adaptation rate", low=0.0)
+    dead_zone: Array = gain("m/s", "eps", "|s| below which K falls", low=0.0, shown="mm/s")
+    floor: Array = gain("1/s", "alpha", "K at which it no longer falls", low=0.0)
+    recovery: Array = gain("1/s2", "mu", "rate of K at the floor", low=0.0)
+    cap: Array = gain("1/s", "K_max", "largest K", above=0.0, infinite=True)
+
+
+@pytree
+class IntegralGain:
+    """Parameters of `integral`."""
+
+    start: Array = gain("1/s", "K0", "reaching gain at the start", low=0.0)
+    rate: Array = gain("1/m2", "rho", "adaptation rate", low=0.0)
+    cap: Array = gain("1/s", "K_max", "largest K", above=0.0, infinite=True)
+
+
+def _start(params: Any) -> Array:
+    return params.start
+
+
+def _fixed(params: FixedGain, value: Array, surface: Array, dt: float) -> Array:
+    return params.start
+
+
+def _adaptive(params: AdaptiveGain, value: Array, surface: Array, dt: float) -> Array:
+    change = params.rate * beyond(surface, params.dead_zone)
+    change = switched(value, params.floor, change, params.recovery)
+    return within(value + dt * change, 0.0, params.cap)
+
+
+def _adaptive_floored(params: AdaptiveGain, value: Array, surface: Array, dt: float) -> Array:
+    change = params.rate * beyond(surface, params.dead_zone)
+    return within(value + dt * change, params.floor, params.cap)
+
+
+def _integral(params: IntegralGain, value: Array, surface: Array, dt: float) -> Array:
+    return within(value + dt * params.rate * surface**2, 0.0, params.cap)
+
+
+#: K = K0; params `FixedGain`.
+fixed = ReachingGain(name="fixed", start=_start, update=_fixed)
+
+#: Equation (14) with a cap; params `AdaptiveGain`.
+adaptive = ReachingGain(name="adaptive", start=_start, update=_adaptive)
+
+#: Equation (14) without its second branch, continuous in K; params `AdaptiveGain`.
+adaptive_floored = ReachingGain(name="adaptive_floored", start=_start, update=_adaptive_floored)
+
+#: Only ever rises; params `IntegralGain`.
+integral = ReachingGain(name="integral", start=_start, update=_integral)

@@ -1,0 +1,39 @@
+"""Position feed-forward: the law follows r + A sgn r', ahead of the friction that holds it back.
+
+    position_feedforward(law):  r is replaced by r + A sgn r';  r' and r'' stay
+
+| symbol | field | unit | published value |
+|---|---|---|---|
+| A | amplitude | m | 2e-6 |
+
+It helps where the error it meets has the size A and the direction of motion, and adds A elsewhere.
+The error is reported against the plain r.
+Source: Zhang et al., Sensors 2023, 23, 9755, section 5.3.
+"""
+
+import functools
+
+from jax import Array
+
+from jaxstage.blocks import Controller
+from jaxstage.controllers.compose import offset_setpoint
+from jaxstage.fields import gain, pytree
+from jaxstage.numerics.smooth import sign
+from jaxstage.signals import Setpoint
+
+
+@pytree
+class PositionFeedforward:
+    """Gain of the shift, ``offset`` of `Offset`."""
+
+    amplitude: Array = gain("m", "A", "shift of the commanded position", low=0.0, shown="um")
+
+
+def _shift(gains: PositionFeedforward, setpoint: Setpoint) -> Array:
+    return gains.amplitude * sign(setpoint.velocity)
+
+
+@functools.cache
+def position_feedforward(law: Controller) -> Controller:
+    """The law with the shifted setpoint; gains `Offset` of the law's and `PositionFeedforward`."""
+    return offset_setpoint(law, "position_feedforward", _shift)

@@ -1,0 +1,72 @@
+"""A screw-shaped curve about z, run through at constant speed.
+
+    r(t) = (R cos w t, R sin w t, v_z t)
+
+Speed sqrt((R w)^2 + v_z^2) and curvature R w^2 / speed^2 are constant. R = 0 is a straight line,
+v_z = 0 a circle, w = 0 a straight line beside the axis; all three 0 is a point, whose tangent is 0.
+
+Source: Science Progress 2021, doi:10.1177/00368504211011847, "screw-shape curve"; the formula is
+lost there and the usual one taken.
+"""
+
+from functools import cache
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxstage.blocks import Reference
+from jaxstage.fields import param, pytree, replace
+from jaxstage.numerics.geometry import norm
+from jaxstage.references.motion import analytic
+from jaxstage.signals import Nearest
+
+
+@pytree
+class Helix:
+    """A screw-shaped motion."""
+
+    radius: Array = param("m", "R", "radius", low=0.0, shown="mm")
+    turn_rate: Array = param("rad/s", "w", "angular speed about z")
+    climb_rate: Array = param("m/s", "v_z", "speed along z", shown="mm/s")
+
+
+def helix(radius: float, turn_rate: float, climb_rate: float) -> Helix:
+    """A checked helix. radius: m, >= 0. turn_rate: rad/s. climb_rate: m/s.
+
+    Raises ValueError for a negative radius, NaN or infinity.
+    """
+    for name, value in (("radius", radius), ("turn_rate", turn_rate), ("climb_rate", climb_rate)):
+        if not np.isfinite(value):
+            raise ValueError(f"{name} must be finite; got {value!r}")
+    if radius < 0:
+        raise ValueError(f"radius must be >= 0 m; got {radius!r}")
+    return Helix(
+        radius=np.asarray(radius, float),  # type: ignore[arg-type]
+        turn_rate=np.asarray(turn_rate, float),  # type: ignore[arg-type]
+        climb_rate=np.asarray(climb_rate, float),  # type: ignore[arg-type]
+    )
+
+
+def _position(curve: Helix, time: Array) -> Array:
+    angle = curve.turn_rate * time
+    return jnp.stack(
+        [curve.radius * jnp.cos(angle), curve.radius * jnp.sin(angle), curve.climb_rate * time]
+    )
+
+
+@cache
+def helical(dt: float) -> Reference:
+    """The motion along a `Helix`, computed in the tick; axes x, y, z. dt: control period in s.
+
+    The arc of the nearest point counts from the start of the motion.
+    """
+    motion = analytic("helical", _position, dt)
+
+    def nearest(curve: Helix, tick: Array, tool: Array) -> Nearest:
+        found = motion.nearest(curve, tick, tool)
+        along, up = curve.radius * curve.turn_rate, curve.climb_rate
+        speed = norm(jnp.stack([jnp.asarray(along), jnp.asarray(up)]))
+        return replace(found, arc=found.arc + speed * jnp.asarray(tick).astype(speed.dtype) * dt)
+
+    return replace(motion, nearest=nearest)

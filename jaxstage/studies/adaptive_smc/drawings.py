@@ -1,0 +1,242 @@
+"""What `jaxstage compare adaptive-smc` draws beside the verdicts, by the figures of the paper."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from jaxstage.studies.adaptive_smc.experiment_claims import matched
+from jaxstage.studies.adaptive_smc.experiments import REGIMES, SLOPES, TRIALS, over_trials
+from jaxstage.studies.adaptive_smc.loops import TIMING, build, law, scene
+from jaxstage.studies.adaptive_smc.reading import TABLE3, TABLE5
+from jaxstage.studies.claim import Evidence
+from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
+
+NAMES = {"smc": "SMC", "asmc": "ASMC", "smc-star": "SMC*", "smc-star-star": "SMC**"}
+MEANING = {"s3": "smooth (fitted friction)", "s7": "switching (0.01 m/s²)"}
+AXES = {"x": "axis 1", "y": "axis 2"}
+TRIAL_NAMES = tuple(f"trial {seed + 1}" for seed in range(TRIALS))
+
+
+def _signals(
+    evidence: Evidence, runs: dict[str, str], signal: str, axis: int, scale: float = 1.0,
+    begin: float = 0.0,
+) -> tuple[Line, ...]:  # fmt: skip
+    """A stored signal of several runs, label -> run, from ``begin`` s on."""
+    lines = []
+    for label, run in runs.items():
+        trace = evidence[f"{run}/trace"]
+        shown = trace["time"] >= begin
+        lines.append(Line(label, trace["time"][shown], trace[signal][shown, axis] * scale))
+    return tuple(lines)
+
+
+def _errors(
+    evidence: Evidence, runs: dict[str, str], title: str, begin: float = 0.0
+) -> list[Chart]:
+    return [
+        Chart(
+            title=f"{title}, axis {axis + 1}", x="time in s", y="following error in µm",
+            lines=_signals(evidence, runs, "error", axis, 1e6, begin),
+        )
+        for axis in (0, 1)
+    ]  # fmt: skip
+
+
+def _step(evidence: Evidence) -> tuple[Chart, ...]:
+    trace = evidence["step/trace"]
+    labels = {"high": "(a) high", "low": "(b) low", "nonlinear": "(c) nonlinear"}
+    lines = tuple(Line(label, trace["time"], trace[name]) for name, label in labels.items())
+    return (Chart(title="damping", x="time × ω", y="output over step", lines=lines),)
+
+
+def _figure4(evidence: Evidence) -> tuple[Chart, ...]:
+    runs = {NAMES[name]: f"{name}-s1" for name in ("smc", "smc-star-star", "asmc")}
+    return tuple(_errors(evidence, runs, "from rest"))
+
+
+def _figure5(evidence: Evidence) -> tuple[Chart, ...]:
+    runs = {NAMES[name]: f"{name}-s1" for name in ("smc-star-star", "asmc")}
+    collapse = {"ASMC": "asmc-s7"}
+    return (
+        *(
+            Chart(
+                title=f"axis {axis + 1}", x="time in s", y="gain K in 1/s",
+                lines=_signals(evidence, runs, "gain", axis),
+            )
+            for axis in (0, 1)
+        ),
+        Chart(
+            title="axis 1, where switching dominates", x="time in s", y="gain K in 1/s",
+            lines=_signals(evidence, collapse, "gain", 0),
+        ),
+    )  # fmt: skip
+
+
+def _bars(
+    evidence: Evidence, laws: tuple[str, ...], window: str, figure: str, unit: str,
+    scale: float = 1.0,
+) -> tuple[Chart, ...]:  # fmt: skip
+    """One panel a regime (and axis, where the figure has axes), one group of bars a trial."""
+    charts = []
+    for regime in REGIMES:
+        found = {a: over_trials(evidence, f"{a}-{regime}", window, figure) for a in laws}
+        axes: tuple[Any, ...] = tuple(AXES) if isinstance(found[laws[0]][0], dict) else (None,)
+        for axis in axes:
+            lines = tuple(
+                Line(NAMES[a], TRIAL_NAMES, [(v[axis] if axis else v) * scale for v in values])
+                for a, values in found.items()
+            )
+            title = MEANING[regime] + (f", {AXES[axis]}" if axis else "")
+            charts.append(Chart(title=title, x="", y=unit, lines=lines, bars=True))
+    return tuple(charts)
+
+
+def _trial_errors(laws: tuple[str, ...], evidence: Evidence) -> tuple[Chart, ...]:
+    return tuple(
+        chart
+        for regime in REGIMES
+        for chart in _errors(
+            evidence, {NAMES[a]: f"{a}-{regime}/trial-0" for a in laws}, MEANING[regime], 1.0
+        )
+    )
+
+
+def _trial_commands(laws: tuple[str, ...], evidence: Evidence) -> tuple[Chart, ...]:
+    return tuple(
+        Chart(
+            title=f"{MEANING[regime]}, axis 1", x="time in s", y="command in V",
+            lines=_signals(
+                evidence, {NAMES[a]: f"{a}-{regime}/trial-0" for a in laws}, "command", 0,
+                begin=1.0,
+            ),
+        )
+        for regime in REGIMES
+    )  # fmt: skip
+
+
+def _matched(evidence: Evidence) -> tuple[Chart, ...]:
+    charts = []
+    for regime, meaning in (("s1", "smooth"), ("s7", "switching")):
+        runs = [f"smc-{regime}/slope-{slope:g}" for slope in SLOPES[regime]]
+        lines = [
+            _frontier("SMC, slope λ", evidence, runs),
+            _frontier("ASMC", evidence, [f"asmc-{regime}"]),
+        ]
+        found = matched(evidence, regime)
+        note = f"SMC matches at λ = {found[0]:.0f} 1/s" if found else ""
+        charts.append(
+            Chart(
+                title=meaning, x="mean following error in µm", y="energy in mWh",
+                lines=tuple(lines), text=note,
+            )
+        )  # fmt: skip
+    return tuple(charts)
+
+
+def _frontier(label: str, evidence: Evidence, runs: list[str]) -> Line:
+    errors = [np.mean(list(evidence[f"{r}/late"]["following_mean_um"].values())) for r in runs]
+    return Line(label, errors, [evidence[f"{r}/whole"]["energy_J"] / 3.6 for r in runs])
+
+
+def _table3(evidence: Evidence) -> tuple[Chart, ...]:
+    cells = ("max_x", "max_y", "mean_x", "mean_y")
+
+    def ours(run: str) -> list[float | None]:
+        late = evidence[f"{run}/late"]
+        return [
+            late[f"following_{figure}_um"][axis] for figure, axis in (c.split("_") for c in cells)
+        ]
+
+    lines = (
+        Line("SMC, published", cells, [TABLE3["smc"][c] for c in cells]),
+        Line("SMC, here", cells, ours("smc-s1")),
+        Line("ASMC, published", cells, [TABLE3["asmc"][c] for c in cells]),
+        Line("ASMC, here", cells, ours("asmc-s1")),
+        Line("K = 120, here", cells, ours("smc-k120-s1")),
+    )
+    return (Chart(title="following error", x="", y="µm", lines=lines, bars=True, log_y=True),)
+
+
+def _table5(evidence: Evidence) -> tuple[Chart, ...]:
+    printed = Line(
+        "published", ("SMC", "ASMC"), [TABLE5["energy_smc_mWh"], TABLE5["energy_asmc_mWh"]]
+    )
+    lines = [printed]
+    for regime in REGIMES:
+        drawn = [
+            np.mean(over_trials(evidence, f"{name}-{regime}", "whole", "energy_J")) / 3.6
+            for name in ("smc", "asmc")
+        ]
+        lines.append(Line(MEANING[regime], ("SMC", "ASMC"), drawn))
+    return (Chart(title="energy", x="", y="mWh", lines=tuple(lines), bars=True),)
+
+
+BOTH, STAR = ("smc", "asmc"), ("smc-star", "asmc")
+
+
+def _chart(name: str, title: str, text: str, charts: Any) -> ChartDrawing:
+    return ChartDrawing(name=name, title=title, text=text, charts=charts)
+
+
+drawings: tuple[ChartDrawing | RunDrawing, ...] = (
+    _chart(
+        "figure01-step", "Figure 1: step response",
+        "Nonlinear damping rises from low to high on the way.", _step,
+    ),
+    RunDrawing(
+        name="figure02-trifolium", text="Figure 2: the trajectory, with the error of ASMC",
+        case=partial(build, law("asmc"), scene("s1"), TIMING), views=("contour", "error"),
+    ),
+    _chart(
+        "figure04-tracking", "Figure 4: following error",
+        "Friction is fitted to the SMC row of Table 3. The run starts at rest.", _figure4,
+    ),
+    _chart(
+        "figure05-gain", "Figure 5: adaptive gain",
+        "The integral law stays at its limit. The adaptive gain settles near d / (J ε), and "
+        "collapses where the switching does the work.", _figure5,
+    ),
+    _chart(
+        "figure06-energy", "Figure 6: energy", "Five trials with noise.",
+        partial(_bars, laws=BOTH, window="whole", figure="energy_J", unit="mWh", scale=1 / 3.6),
+    ),
+    _chart(
+        "figure07-tracking", "Figure 7: following error", "First trial.",
+        partial(_trial_errors, BOTH),
+    ),
+    _chart(
+        "figure08-max", "Figure 8: largest following error", "Five trials with noise.",
+        partial(_bars, laws=BOTH, window="late", figure="following_max_um", unit="µm"),
+    ),
+    _chart(
+        "figure09-command", "Figure 9: command", "First trial.", partial(_trial_commands, BOTH)
+    ),
+    _chart(
+        "figure10-variance", "Figure 10: variance of the command", "Five trials with noise.",
+        partial(_bars, laws=BOTH, window="late", figure="command_variance_V2", unit="V²"),
+    ),
+    _chart(
+        "figure11-star-energy", "Figure 11: energy of SMC*", "SMC* has λ = 80 1/s. Five trials.",
+        partial(_bars, laws=STAR, window="whole", figure="energy_J", unit="mWh", scale=1 / 3.6),
+    ),
+    _chart(
+        "figure12-star-tracking", "Figure 12: following error with SMC*", "First trial.",
+        partial(_trial_errors, ("smc", "smc-star", "asmc")),
+    ),
+    _chart(
+        "figure13-star-command", "Figure 13: command with SMC*", "First trial.",
+        partial(_trial_commands, STAR),
+    ),
+    _chart(
+        "table3", "Table 3: simulated errors",
+        "The SMC row is fitted. A fixed gain of 120 1/s predicts the ASMC row.", _table3,
+    ),
+    _chart(
+        "table5-energy", "Table 5: energy", "Mean of five trials, beside the printed one.", _table5
+    ),
+    _chart(
+        "matched-accuracy", "Energy at the same accuracy",
+        "SMC with its slope raised to the mean error of ASMC.", _matched,
+    ),
+)  # fmt: skip

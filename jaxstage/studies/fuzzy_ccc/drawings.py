@@ -1,0 +1,181 @@
+"""What `jaxstage compare fuzzy-ccc` draws beside the verdicts."""
+
+from functools import partial
+
+import numpy as np
+
+from jaxstage.controllers.parts.fuzzy import HALF_CROSSING, LABELS, REACH
+from jaxstage.fields import replace
+from jaxstage.studies.case import Timing
+from jaxstage.studies.claim import Evidence
+from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
+from jaxstage.studies.fuzzy_ccc import values
+from jaxstage.studies.fuzzy_ccc.claims import BLIND, OBSERVED, TABLE4, TABLE5
+from jaxstage.studies.fuzzy_ccc.experiments import RATES
+from jaxstage.studies.fuzzy_ccc.loops import TIMING, build, law
+
+AXES = ("x", "y", "z")
+
+
+def _memberships(evidence: Evidence) -> tuple[Chart, ...]:
+    x = np.linspace(-REACH, REACH, 601)
+    centres = np.arange(-3.0, 4.0)
+    lines = tuple(
+        Line(label, x, np.exp(-(((x - centre) / HALF_CROSSING) ** 2)))
+        for label, centre in zip(LABELS, centres, strict=True)
+    )
+    return (Chart(title="both inputs", x="normalised input", y="membership", lines=lines),)
+
+
+#: a look at single switchings, in s
+CLOSE = (5.0, 5.05)
+#: how much larger the error of the estimate is drawn
+TIMES = 20
+
+
+def _control(case: str, evidence: Evidence) -> tuple[Chart, ...]:
+    signals, figures = evidence[f"{case}/signals"], evidence[case]
+    time, current = signals["time_s"], signals["command_A"]
+    close = (time >= CLOSE[0]) & (time <= CLOSE[1])
+    varied = figures["command_variation_A_per_s"]
+    parts = {": total variation {:.3g} A/s": slice(None), ", closer": close}
+    return tuple(
+        Chart(
+            title=axis + what.format(varied[axis]), x="time in s", y="current in A",
+            lines=(Line(axis, time[part], current[part, i]),),
+        )
+        for what, part in parts.items()
+        for i, axis in enumerate(AXES)
+    )  # fmt: skip
+
+
+def _disturbance(evidence: Evidence) -> tuple[Chart, ...]:
+    signals, mass = evidence[f"{OBSERVED}/signals"], np.asarray(values.plant().mass)
+    time, true, estimate = signals["time_s"], signals["load_N"] / mass, signals["estimate_m_per_s2"]
+    return tuple(
+        Chart(
+            title=axis, x="time in s", y="acceleration in m/s2",
+            lines=(
+                Line("disturbance", time, true[:, i]),
+                Line("its estimate", time, estimate[:, i]),
+                Line(f"their difference × {TIMES}", time, TIMES * (true - estimate)[:, i]),
+            ),
+        )
+        for i, axis in enumerate(AXES)
+    )  # fmt: skip
+
+
+def _errors(evidence: Evidence) -> tuple[Chart, ...]:
+    laws = {
+        "PD": "pd", "PD with observer": "pd-observed", "sliding mode with observer": "none",
+    }  # fmt: skip
+    lines = tuple(
+        Line(label, AXES, [evidence[name]["following_rms_um"][a] for a in AXES])
+        for label, name in laws.items()
+    )
+    return (
+        Chart(
+            title="RMS following error", x="", y="µm", lines=lines, bars=True, log_y=True,
+            text="PD with the same observer ties with sliding mode: the observer does the work",
+        ),
+    )  # fmt: skip
+
+
+def _saving(row: dict[str, float]) -> float:
+    return 100 * (1 - row["fuzzy"] / row["pid"])
+
+
+def _savings(evidence: Evidence) -> tuple[Chart, ...]:
+    fuzzy, pid = evidence["af-pid-ccc"], evidence["pid-ccc"]
+    names = ("MAX", "MEAN", "RMS")
+    keys = ("max", "mean", "rms")
+    printed = {
+        "following error of y (Table 4)": [_saving(TABLE4[f"y_{k}"]) for k in keys],
+        "contour error (Table 5)": [_saving(TABLE5[f"contour_{k}"]) for k in keys],
+    }
+    ours = {
+        "following error of y (Table 4)": [
+            100 * (1 - fuzzy[f"following_{k}_um"]["y"] / pid[f"following_{k}_um"]["y"])
+            for k in keys
+        ],
+        "contour error (Table 5)": [
+            100 * (1 - fuzzy[f"contour_{k}_um"] / pid[f"contour_{k}_um"]) for k in keys
+        ],
+    }
+    return tuple(
+        Chart(
+            title=title, x="", y="saved by adaptive fuzzy coupling in %", bars=True,
+            lines=(Line("published", names, printed[title]), Line("here", names, ours[title])),
+        )
+        for title in printed
+    )  # fmt: skip
+
+
+def _causes(evidence: Evidence) -> tuple[Chart, ...]:
+    cases = {
+        "none": "none", "PID": "pid-ccc", "frozen": "fuzzy-frozen", "adaptive": "af-pid-ccc",
+        **{f"× {factor:g}": f"af-pid-ccc/rates-{factor:g}" for factor in RATES},
+        "mean": "pid-ccc/mean-gains",
+    }  # fmt: skip
+    rms = [evidence[name]["contour_rms_um"] for name in cases.values()]
+    return (
+        Chart(
+            title="contour error RMS", x="", y="µm", bars=True,
+            lines=(Line("RMS", tuple(cases), rms),),
+            text="frozen: rules that do not learn; × 2, 4, 8: learning rates; mean: PID with "
+            "constant gains at the mean of the adapted ones",
+        ),
+    )  # fmt: skip
+
+
+#: without the start, whose error would hide all others
+LATER = replace(TIMING, skip=1.0)
+
+
+def _run(
+    figure: str, name: str, label: str, views: tuple[str, ...], timing: Timing = TIMING
+) -> RunDrawing:
+    return RunDrawing(
+        name=f"figure{figure}-{name}", text=f"Figure {figure.lstrip('0')}: {label}",
+        case=partial(build, law(name), name, timing), views=views,
+    )  # fmt: skip
+
+
+drawings: tuple[ChartDrawing | RunDrawing, ...] = (
+    ChartDrawing(
+        name="figure03-membership", title="Figure 3: membership functions", charts=_memberships,
+        text="Seven Gaussian sets whose neighbours cross at one half; number and shape are chosen.",
+    ),
+    ChartDrawing(
+        name="figure05-control", title="Figure 5: control without observer",
+        charts=partial(_control, BLIND), text="Switching by the sign with a large gain.",
+    ),
+    ChartDrawing(
+        name="figure06-control", title="Figure 6: control with observer",
+        charts=partial(_control, OBSERVED),
+        text="Switching by the sign with a tenth of the gain: what the observer allows.",
+    ),
+    ChartDrawing(
+        name="figure06d-disturbance", title="Figure 6d: disturbance and estimate",
+        charts=_disturbance, text="With the small switching gain.",
+    ),
+    ChartDrawing(
+        name="figure07-laws", title="Figure 7: PD and sliding mode", charts=_errors,
+        text="The PD law has the poles of the sliding mode's boundary layer.",
+    ),
+    _run("07", "pd", "PD without observer", ("axes",)),
+    _run("07", "none", "sliding mode with observer", ("axes",)),
+    _run("08", "pid-ccc", "PID cross-coupling", ("axes", "error")),
+    _run("08", "af-pid-ccc", "adaptive fuzzy PID cross-coupling", ("axes", "error", "schedule")),
+    _run("08e", "pid-ccc", "PID cross-coupling", ("space",), LATER),
+    _run("08e", "af-pid-ccc", "adaptive fuzzy PID cross-coupling", ("space",), LATER),
+    ChartDrawing(
+        name="tables", title="Tables 4 and 5: what adaptive fuzzy coupling saves", charts=_savings,
+        text="Shares only: the printed errors have no unit and their machine is not known.",
+    ),
+    ChartDrawing(
+        name="causes", title="What the improvement rests on", charts=_causes,
+        text="Faster learning raises the gains and lowers the error; constant gains of the same "
+        "level do as well.",
+    ),
+)  # fmt: skip

@@ -1,0 +1,218 @@
+"""The loops of the fuzzy cross-coupling study: five laws on the helix."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxstage.blocks import Controller, Loop
+from jaxstage.controllers import (
+    cross_coupled,
+    disturbance_observer,
+    fuzzy_pid_contour,
+    pd,
+    per_axis,
+    pid_contour,
+    plus,
+    sliding,
+)
+from jaxstage.drives import current_drive
+from jaxstage.loads import sine_load
+from jaxstage.metrics import command_change, contour_gains, standard
+from jaxstage.numerics.smooth import Switch, smooth
+from jaxstage.plants import pmlsm_stage
+from jaxstage.references import Helix, helical
+from jaxstage.sensors import ideal_sensor
+from jaxstage.signals import Scenario
+from jaxstage.studies.case import Case, Timing, check_timing, scored, window
+from jaxstage.studies.fuzzy_ccc import values
+from jaxstage.studies.study import NamedLoop, Spread, no_notes
+
+#: two turns in 10 s, judged as a whole as the paper does; the period is chosen
+TIMING = Timing(lap_time=10.0, laps=1, scored=0, dt=2e-4)
+#: following error beyond which a run counts as lost: the diameter of the helix (chosen)
+PATH_LIMIT = 0.1
+
+_COMMISSIONED = "chosen: what is left after commissioning a drive"
+
+#: how uncertain the stage is
+SPREADS = (
+    Spread(path="plant.mass", low=0.8, high=1.2, reason="chosen: workpieces"),
+    Spread(path="plant.force_constant", low=0.95, high=1.05, reason=_COMMISSIONED),
+    Spread(path="plant.damping", low=0.5, high=1.5, reason=_COMMISSIONED),
+    Spread(path="load.amplitude", low=0.5, high=1.5, reason='chosen: "randomly chosen" there'),
+)
+
+
+class Law(NamedTuple):
+    """A controller of this study. gains(nominal) makes its gains; observed picks sliding mode and
+    observer out of them; surface and schedule pick the sliding variable and the contour gains out
+    of its memory. None where it has no such thing."""
+
+    name: str
+    summary: str
+    controller: Controller
+    gains: Callable[[Any], Any]
+    observed: Callable[[Any], Any] | None = None
+    surface: Callable[[Any], Array] | None = None
+    schedule: Callable[[Any], tuple[Array, Array, Array]] | None = None
+
+
+def observing(switch: Switch = smooth) -> Controller:
+    """Sliding mode on each axis with the observer beside it."""
+    return plus(per_axis(sliding(switch)), per_axis(disturbance_observer))
+
+
+def coupling(contour: Controller, switch: Switch = smooth) -> Controller:
+    """A contour law on top of `observing`."""
+    return cross_coupled(observing(switch), contour)
+
+
+def observing_gains(axis: Any) -> Any:
+    """Gains of `observing`."""
+    return values.observed(values.sliding_gains(axis), axis)
+
+
+def coupling_gains(contour: Any, axis: Any) -> Any:
+    """Gains of `coupling`; contour: those of its contour law."""
+    return values.coupled(observing_gains(axis), contour, axis)
+
+
+def _bare(tree: Any) -> Any:
+    return tree
+
+
+def _inner(tree: Any) -> Any:
+    return tree.law
+
+
+def _bare_surface(memory: Any) -> Array:
+    return memory.law.surface
+
+
+def _surface(memory: Any) -> Array:
+    return memory.law.law.surface
+
+
+def _schedule(memory: Any) -> tuple[Array, Array, Array]:
+    shown = memory.extra
+    return shown.proportional_gain, shown.integral_gain, shown.derivative_gain
+
+
+LAWS = (
+    Law(
+        "none", "sliding mode with observer, no coupling", observing(), observing_gains,
+        _bare, _bare_surface,
+    ),
+    Law(
+        "pid-ccc", "the same with PID cross-coupling", coupling(pid_contour()),
+        lambda axis: coupling_gains(values.pid_gains(), axis), _inner, _surface,
+    ),
+    Law(
+        "fuzzy-frozen", "the same, gains by fuzzy rules that do not learn",
+        coupling(fuzzy_pid_contour()),
+        lambda axis: coupling_gains(values.fuzzy_gains(adapting=False), axis),
+        _inner, _surface, _schedule,
+    ),
+    Law(
+        "af-pid-ccc", "the same, adaptive fuzzy PID cross-coupling",
+        coupling(fuzzy_pid_contour()),
+        lambda axis: coupling_gains(values.fuzzy_gains(), axis), _inner, _surface, _schedule,
+    ),
+    Law("pd", "PD with acceleration feed-forward, no observer", per_axis(pd), values.pd_gains),
+)  # fmt: skip
+
+
+def law(name: str) -> Law:
+    """The law called ``name``."""
+    return next(law for law in LAWS if law.name == name)
+
+
+def _path(timing: Timing) -> Helix:
+    """The helix of the study, its ten seconds stretched to a lap or driven at a feed in mm/min."""
+    curve = values.path()
+    length = TIMING.lap_time * np.hypot(curve.radius * curve.turn_rate, curve.climb_rate)
+    lap = timing.lap_time if timing.feed is None else float(length / (timing.feed / 6e4))
+    share = TIMING.lap_time / lap
+    return Helix(
+        radius=curve.radius,
+        turn_rate=curve.turn_rate * share,
+        climb_rate=curve.climb_rate * share,
+    )
+
+
+def build(law: Law, name: str, timing: Timing) -> Case:
+    """One law of the study on its helix; a lap is two turns."""
+    check_timing(timing)
+    path = _path(timing)
+    lap_time = TIMING.lap_time * float(values.path().turn_rate / path.turn_rate)
+    shortest = lap_time if timing.duration is None else timing.duration
+    if timing.dt > shortest:
+        raise ValueError(f"dt = {timing.dt} s: must be <= {shortest:g} s, the length of the run")
+    ticks = window(timing, round(lap_time / timing.dt))
+    schedule = (contour_gains(law.schedule),) if law.schedule else ()
+    metric = standard(law.surface, extra=(command_change, *schedule))
+    loop = Loop(
+        plant=pmlsm_stage(),
+        controller=law.controller,
+        reference=helical(timing.dt),
+        load=sine_load,
+        sensor=ideal_sensor,
+        drive=current_drive(),
+        metric=scored(metric, ticks),
+        dt=timing.dt,
+        substeps=timing.substeps,
+        path_limit=PATH_LIMIT,
+    )
+    return Case(
+        name=name,
+        loop=loop,
+        metric=metric,
+        gains=jax.tree.map(jnp.asarray, law.gains(values.nominal())),
+        scenario=jax.tree.map(jnp.asarray, values.scenario()),
+        path=jax.tree.map(jnp.asarray, path),
+        timing=timing,
+        window=ticks,
+    )
+
+
+def left_over(gains: Any, scenario: Scenario) -> np.ndarray:
+    """Amplitude of d - d^ in m/s2 of each axis: what the observer leaves of the sine load.
+
+    |p (p + k2)| / |p^2 + k2 p + k1| at p = j omega. gains: of the observer.
+    """
+    load, mass = scenario.load, np.asarray(scenario.plant.mass)
+    p = 1j * np.asarray(load.frequency)
+    k1, k2 = np.asarray(gains.disturbance_gain), np.asarray(gains.velocity_gain)
+    return np.abs(np.asarray(load.amplitude) / mass * p * (p + k2) / (p**2 + k2 * p + k1))
+
+
+def _reaching(pick: Callable[[Any], Any], case: Case) -> tuple[str, ...]:
+    """Says where the switching gain is below what the observer leaves of the load."""
+    observed = pick(case.gains)
+    rest = left_over(observed.extra, case.scenario)
+    eta = np.broadcast_to(np.asarray(observed.law.switching_gain), rest.shape)
+    return tuple(
+        f"{axis}: switching gain {gain:g} m/s2 is below the {left:.3g} m/s2 that the observer "
+        "leaves of the load; sliding is not guaranteed"
+        for axis, gain, left in zip(case.loop.plant.axes, eta, rest, strict=True)
+        if gain <= left
+    )
+
+
+#: each law under its short name and with the name of its path
+loops: tuple[NamedLoop, ...] = tuple(
+    NamedLoop(
+        name=name,
+        summary=f"{law.summary}, helix",
+        build=functools.partial(build, law, name),
+        timing=TIMING,
+        notes=functools.partial(_reaching, law.observed) if law.observed else no_notes,
+    )
+    for law in LAWS
+    for name in (law.name, f"{law.name}-helix")
+)

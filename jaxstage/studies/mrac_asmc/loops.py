@@ -1,0 +1,218 @@
+"""Loops of the model-reference and adaptive sliding-mode study.
+
+Each law runs on four versions of the drive: friction on the load or on the motor (suffix
+``-motor``), ideal measurement or scenario R (suffix ``-r``). All laws act on the motor side.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.blocks import Controller, Loop, Metric
+from jaxstage.controllers import (
+    AdaptiveSliding,
+    ModelReference,
+    adaptive_sliding,
+    cascade,
+    model_reference,
+    per_axis,
+    sliding,
+)
+from jaxstage.controllers.adaptive_sliding import sampled_gain
+from jaxstage.drives import current_drive
+from jaxstage.loads import no_load
+from jaxstage.metrics import (
+    adapted,
+    drive,
+    drive_following,
+    quadrant_glitch,
+    recorded_drive_error,
+    standard,
+)
+from jaxstage.metrics.amplitude import drive_chattering
+from jaxstage.plants import on_load, on_motor, two_inertia
+from jaxstage.plants.two_inertia import Side
+from jaxstage.references import swing, swinging
+from jaxstage.sensors import encoder, ideal_sensor, motor_side
+from jaxstage.studies.case import Case, Timing, check_timing, scored, window
+from jaxstage.studies.mrac_asmc import values
+from jaxstage.studies.study import NamedLoop, Recorded, Spread
+
+#: following error beyond which a run counts as lost: five strokes (chosen)
+PATH_LIMIT = 0.01
+
+TIMING = Timing(
+    lap_time=values.PERIOD, dt=values.DT, substeps=values.SUBSTEPS, duration=values.DURATION,
+    skip=values.SKIP,
+)  # fmt: skip
+
+_COMMISSIONED = "chosen: what is left after commissioning a drive"
+_DRY = "chosen: dry friction moves with temperature and lubrication; F_s stays above F_c"
+
+#: how uncertain the drive is
+SPREADS = (
+    Spread(path="plant.motor_inertia", low=0.95, high=1.05, reason=_COMMISSIONED),
+    Spread(path="plant.load_inertia", low=0.7, high=1.5, reason="chosen: workpieces"),
+    Spread(path="plant.stiffness", low=0.8, high=1.2, reason=_COMMISSIONED),
+    Spread(path="plant.damping", low=0.1, high=1.5, reason="chosen: rarely identified"),
+    Spread(path="plant.friction.coulomb", low=0.7, high=1.3, reason=_DRY),
+    Spread(path="plant.friction.static", low=0.9, high=1.3, reason=_DRY),
+    Spread(path="plant.friction.viscous", low=0.5, high=1.5, reason=_DRY),
+)
+
+
+class Law(NamedTuple):
+    """A controller of this study, its gains, and what of its memory is shown."""
+
+    name: str
+    summary: str
+    controller: Controller
+    gains: Callable[[], Any]
+    surface: Callable[[Any], Array] | None
+    adapting: Callable[[Any, float], tuple[Array, Array, Array, Array]] | None
+
+
+def _surface(memory: Any) -> Array:
+    return memory.surface
+
+
+def _adapting(memory: Any, dt: float) -> tuple[Array, Array, Array, Array]:
+    values = memory.slope, memory.switching_gain, memory.sharpness
+    return *values, sampled_gain(*values, dt)
+
+
+def _inner_surface(memory: Any) -> Array:
+    return memory.law.surface
+
+
+def _inner_adapting(memory: Any, dt: float) -> tuple[Array, Array, Array, Array]:
+    return _adapting(memory.law, dt)
+
+
+def _within_mrac(name: str, summary: str, gains: Callable[[], Any]) -> Law:
+    return Law(
+        name, f"{summary}, MRAC inner loop", model_reference(adaptive_sliding()),
+        lambda: values.inner(gains()), _inner_surface, _inner_adapting,
+    )  # fmt: skip
+
+
+LAWS = (
+    Law(
+        "sim1", "adaptive sliding mode, fixed slope", adaptive_sliding(), values.sim1, _surface,
+        _adapting,
+    ),
+    Law(
+        "sim2", "adaptive sliding mode, adaptive slope", adaptive_sliding(), values.sim2, _surface,
+        _adapting,
+    ),
+    Law(
+        "smc1500", "sliding mode, eps = 1500", sliding(),
+        lambda: values.sliding_mode(1500), _surface, None,
+    ),
+    Law(
+        "smc500-mrac", "sliding mode, eps = 500, MRAC inner loop", model_reference(sliding()),
+        lambda: values.inner(values.sliding_mode(500)), _inner_surface, None,
+    ),
+    _within_mrac("asmc-mrac", "adaptive sliding mode", values.asmc),
+    _within_mrac(
+        "asmc-mrac-caps", "adaptive sliding mode with caps", functools.partial(values.asmc, True)
+    ),
+    Law("cascade", "PID with rate feed-forward", cascade, values.cascade_gains, None, None),
+)  # fmt: skip
+
+
+class Version(NamedTuple):
+    """Which drive: the side of the friction, and whether it is scenario R."""
+
+    suffix: str
+    summary: str
+    side: Side
+    rough: bool
+
+
+VERSIONS = (
+    Version("", "ideal measurement, friction on the load", on_load, False),
+    Version("-r", "scenario R, friction on the load", on_load, True),
+    Version("-motor", "ideal measurement, friction on the motor", on_motor, False),
+    Version("-r-motor", "scenario R, friction on the motor", on_motor, True),
+)
+
+
+def law(name: str) -> Law:
+    """The law called ``name``."""
+    return next(law for law in LAWS if law.name == name)
+
+
+def version(suffix: str) -> Version:
+    """The version with that suffix."""
+    return next(version for version in VERSIONS if version.suffix == suffix)
+
+
+def make_loop(controller: Controller, version: Version, metric: Metric, timing: Timing) -> Loop:
+    """The drive under a law for one axis, or a composition of such laws, to and fro."""
+    return Loop(
+        plant=two_inertia(("x",), version.side),
+        controller=controller,
+        reference=swinging(timing.dt),
+        load=no_load,
+        sensor=motor_side(encoder if version.rough else ideal_sensor),
+        drive=current_drive(1),
+        metric=metric,
+        dt=timing.dt,
+        substeps=timing.substeps,
+        path_limit=PATH_LIMIT,
+    )
+
+
+def build(law: Law, version: Version, timing: Timing) -> Case:
+    """One law of the study on one version of the drive."""
+    check_timing(timing)
+    ticks = window(timing, round(timing.lap_time / timing.dt))
+    extra = (drive_following, quadrant_glitch(values.REVERSAL, drive))
+    extra += (adapted(law.adapting),) if law.adapting else ()
+    metric = standard(law.surface, contours=(), extra=extra, reversal=values.REVERSAL)
+    return Case(
+        name=law.name + version.suffix,
+        loop=make_loop(per_axis(law.controller), version, scored(metric, ticks), timing),
+        metric=metric,
+        gains=jax.tree.map(jnp.asarray, law.gains()),
+        scenario=jax.tree.map(jnp.asarray, values.scenario(version.rough)),
+        path=jax.tree.map(jnp.asarray, swing(values.AMPLITUDE, timing.lap_time)),
+        timing=timing,
+        window=ticks,
+    )
+
+
+def oscillation(case: Case) -> tuple[str, ...]:
+    """Whether the switch is too stiff for the control period, at the gains of the start."""
+    gains = case.gains.law if isinstance(case.gains, ModelReference) else case.gains
+    if not isinstance(gains, AdaptiveSliding):
+        return ()
+    plant, dt = case.scenario.plant, case.loop.dt
+    stiff = float(sampled_gain(gains.slope, gains.switching_gain, gains.sharpness, dt)[0])
+    share = plant.motor_inertia / (plant.motor_inertia + plant.load_inertia)
+    limit = float(2 * share[0])
+    if stiff <= limit:
+        return ()
+    return (
+        f"eps a T/2 + c T = {stiff:.3g} at the start, above 2 J_1/J = {limit:.4g}: the command "
+        f"oscillates at half the sampling rate, {0.5 / dt:.4g} Hz",
+    )
+
+
+loops: tuple[NamedLoop, ...] = tuple(
+    NamedLoop(
+        name=law.name + version.suffix,
+        summary=f"{law.summary}; {version.summary}",
+        build=functools.partial(build, law, version),
+        timing=TIMING,
+        notes=oscillation,
+        recorded=(Recorded(metric=recorded_drive_error, figures=drive_chattering),),
+    )
+    for law in LAWS
+    for version in VERSIONS
+)
