@@ -13,7 +13,8 @@ references   NURBS curves, timing, motion        loads, sensors, drives
 metrics      online figures, windows, recording  studies      published systems, ready to run
 rollout      simulate, replay                    batch        rollouts: many runs at once
 gradients    derivatives, and a check of them    settings     names, TOML files
-plot         pictures (imports matplotlib)       runtime      precision, devices, cache
+stability    eigenvalues of one tick            runtime      precision, devices, cache
+plot         pictures (imports matplotlib)
 """
 
 __version__ = "0.1.0"

@@ -13,6 +13,9 @@ from jaxstage.fields import definition
 #: name of a simulated case -> its figures, as `columns` gives them
 Evidence = Mapping[str, Mapping[str, Any]]
 
+#: picks a figure out of the evidence, None where a run it needs was lost
+Picked = Callable[[Evidence], float | None]
+
 HOLDS, FAILS, UNCHECKED = "holds", "fails", "unchecked"
 
 
@@ -66,9 +69,20 @@ class Claim:
     text: str
     published: float | None
     unit: str
-    ours: Callable[[Evidence], float | None] | None
+    ours: Picked | None
     bound: Bound | None
     reason: str
+
+
+def claim(
+    id: str, where: str, text: str, ours: Picked, bound: Bound, reason: str,
+    published: float | None = None, unit: str = "",
+) -> Claim:  # fmt: skip
+    """A claim that the evidence decides, with what most of them lack left out."""
+    return Claim(
+        id=id, where=where, text=text, published=published, unit=unit, ours=ours, bound=bound,
+        reason=reason,
+    )  # fmt: skip
 
 
 def unchecked(

@@ -8,7 +8,10 @@ import numpy as np
 from jaxstage.studies.adaptive_smc.experiment_claims import matched
 from jaxstage.studies.adaptive_smc.experiments import REGIMES, SLOPES, TRIALS, over_trials
 from jaxstage.studies.adaptive_smc.loops import TIMING, build, law, scene
-from jaxstage.studies.adaptive_smc.reading import TABLE3, TABLE5
+from jaxstage.studies.adaptive_smc.reading import (
+    TABLE3,
+    TABLE5,
+)
 from jaxstage.studies.claim import Evidence
 from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
 

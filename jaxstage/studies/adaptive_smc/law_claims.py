@@ -10,19 +10,16 @@ from jaxstage.studies.adaptive_smc.reading import (
     SWITCHED,
     TABLE5,
     TEXT,
-    Ours,
     cell,
-    claim,
     energy,
-    less,
-    ratio,
     total,
 )
-from jaxstage.studies.claim import Claim, at_least, at_most, unchecked, within
+from jaxstage.studies.claim import Claim, Picked, at_least, at_most, claim, unchecked, within
+from jaxstage.studies.figures import ratio, saving
 
 
-def _saved(top: str, bottom: str) -> Ours:
-    return lambda e: less(energy(e, top), energy(e, bottom))
+def _saved(top: str, bottom: str) -> Picked:
+    return lambda e: saving(energy(e, top), energy(e, bottom))
 
 
 # --- the law itself --------------------------------------------------------------------------
@@ -152,7 +149,7 @@ def switching() -> list[Claim]:
         claim(
             "regeneration", "Section IV.C",
             "braking power does not matter: share of the energy that is not taken back",
-            lambda e: less(
+            lambda e: saving(
                 e["smc-s1/whole"]["energy_net_J"], e["smc-s1/whole"]["energy_J"]
             ),
             at_most(0.003), "viscous friction takes all of it",

@@ -3,12 +3,12 @@
 Figures are those of `experiments.figures`: ``run/late`` from 1 s on, ``run/whole``.
 """
 
-from collections.abc import Callable
 from statistics import mean
 from typing import Any
 
 from jaxstage.studies.adaptive_smc.experiments import over_trials
-from jaxstage.studies.claim import Bound, Claim, Evidence
+from jaxstage.studies.claim import Evidence
+from jaxstage.studies.figures import ratio
 from jaxstage.studies.packaged import packaged_toml
 
 PUBLISHED = packaged_toml("adaptive-smc", "published.toml")
@@ -24,19 +24,6 @@ FITTED = "rests on the friction fitted to the SMC row of Table 3 (chosen)"
 ARITHMETIC = "arithmetic of printed figures"
 SMOOTH = "friction as fitted, q = 0.3 N as (12) has it (chosen reading): next to no switching"
 SWITCHED = "switching of 0.01 m/s2, Coulomb friction, 20 % too light a model (chosen)"
-
-Ours = Callable[[Evidence], float | None]
-
-
-def claim(
-    id: str, where: str, text: str, ours: Ours, bound: Bound, reason: str,
-    published: float | None = None, unit: str = "",
-) -> Claim:  # fmt: skip
-    """A claim that the evidence decides."""
-    return Claim(
-        id=id, where=where, text=text, published=published, unit=unit, ours=ours, bound=bound,
-        reason=reason,
-    )  # fmt: skip
 
 
 def cell(evidence: Evidence, name: str, which: str) -> float | None:
@@ -65,17 +52,6 @@ def trial_mean(evidence: Evidence, name: str, window: str, figure: str) -> float
 def energy(evidence: Evidence, name: str) -> float | None:
     """Energy in J of the whole run."""
     return evidence[f"{name}/whole"]["energy_J"]
-
-
-def ratio(top: float | None, bottom: float | None) -> float | None:
-    """top / bottom, None without both."""
-    return None if top is None or not bottom else top / bottom
-
-
-def less(top: float | None, bottom: float | None) -> float | None:
-    """Share saved, 1 - top / bottom."""
-    share = ratio(top, bottom)
-    return None if share is None else 1 - share
 
 
 def rise(top: float | None, bottom: float | None) -> float | None:

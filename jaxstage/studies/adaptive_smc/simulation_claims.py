@@ -10,14 +10,20 @@ from jaxstage.studies.adaptive_smc.reading import (
     LAWS,
     TABLE3,
     TEXT,
-    Ours,
     cell,
-    claim,
-    less,
-    ratio,
     total,
 )
-from jaxstage.studies.claim import Claim, Evidence, at_least, at_most, printed, within
+from jaxstage.studies.claim import (
+    Claim,
+    Evidence,
+    Picked,
+    at_least,
+    at_most,
+    claim,
+    printed,
+    within,
+)
+from jaxstage.studies.figures import ratio, saving
 
 #: a fitted or predicted cell of Table 3 agrees within this share (chosen)
 LEVEL = 0.05
@@ -65,7 +71,7 @@ def _about_table3() -> list[Claim]:
         claim(
             "table3-mean-reduction", "Section IV.B",
             "ASMC lowers the average tracking error by this share: simulated",
-            lambda e: less(
+            lambda e: saving(
                 total(e, "asmc-s1", "following_mean_um"), total(e, "smc-s1", "following_mean_um")
             ),
             within(0.1), f"{FITTED}; eps = 14 um/s (chosen) decides it",
@@ -128,7 +134,7 @@ def integral() -> list[Claim]:
     ]  # fmt: skip
 
 
-def _share(agrees: Callable[[Evidence, str], bool]) -> Ours:
+def _share(agrees: Callable[[Evidence, str], bool]) -> Picked:
     """Share of the drawn machines on which ``agrees(evidence, machine)``."""
     names = [f"machine-{number}" for number in range(MACHINES)]
     return lambda e: sum(agrees(e, name) for name in names) / MACHINES

@@ -4,19 +4,20 @@ Its tables, equations and parameters are lost in the text at hand, units of the 
 the printed errors are no target; shares and directions are, and hold or fail for the chosen values.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 from jaxstage.studies.claim import (
-    Bound,
     Claim,
     Evidence,
+    Picked,
     at_least,
     at_most,
+    claim,
     printed,
     unchecked,
     within,
 )
+from jaxstage.studies.figures import largest, ratio
 from jaxstage.studies.fuzzy_ccc.experiments import (
     DRAWS,
     LARGE,
@@ -39,34 +40,12 @@ RISE = 0.25
 CHOSEN = "all parameters chosen: the paper's tables are lost"
 GAINS = f"switching gains {LARGE:g} and {SMALL:g} m/s2 and disturbance chosen"
 
-Figure = Callable[[Evidence], float | None]
 
-
-def _claim(
-    id: str, where: str, text: str, ours: Figure, bound: Bound, reason: str = CHOSEN,
-    published: float | None = None, unit: str = "",
-) -> Claim:  # fmt: skip
-    """A `Claim`, with what most of them lack left out."""
-    return Claim(
-        id=id, where=where, text=text, published=published, unit=unit, ours=ours, bound=bound,
-        reason=reason,
-    )  # fmt: skip
-
-
-def _ratio(top: float | None, bottom: float | None) -> float | None:
-    return None if top is None or not bottom else top / bottom
-
-
-def _worst(ratios: list[float | None]) -> float | None:
-    known = [r for r in ratios if r is not None]
-    return max(known) if len(known) == len(ratios) else None
-
-
-def _saved(figure: str, axis: str = "", by: str = "af-pid-ccc", than: str = "pid-ccc") -> Figure:
+def _saved(figure: str, axis: str = "", by: str = "af-pid-ccc", than: str = "pid-ccc") -> Picked:
     """What the first law saves of a figure of the second, in %."""
 
     def of(evidence: Evidence) -> float | None:
-        left = _ratio(*(_pick(evidence[name], figure, axis) for name in (by, than)))
+        left = ratio(*(_pick(evidence[name], figure, axis) for name in (by, than)))
         return None if left is None else 100 * (1 - left)
 
     return of
@@ -76,17 +55,17 @@ def _pick(figures: Any, figure: str, axis: str) -> float | None:
     return figures[figure][axis] if axis else figures[figure]
 
 
-def _over(figure: str, top: str, bottom: str) -> Figure:
+def _over(figure: str, top: str, bottom: str) -> Picked:
     """A figure of one case over that of another."""
-    return lambda evidence: _ratio(evidence[top][figure], evidence[bottom][figure])
+    return lambda evidence: ratio(evidence[top][figure], evidence[bottom][figure])
 
 
-def _over_axes(figure: str, top: str, bottom: str) -> Figure:
+def _over_axes(figure: str, top: str, bottom: str) -> Picked:
     """The largest ratio over the axes."""
 
     def of(evidence: Evidence) -> float | None:
         above, below = evidence[top][figure], evidence[bottom][figure]
-        return _worst([_ratio(above[axis], below[axis]) for axis in above])
+        return largest([ratio(above[axis], below[axis]) for axis in above])
 
     return of
 
@@ -102,7 +81,7 @@ def _arithmetic() -> list[Claim]:
                 continue
             saved = 100 * (1 - row["fuzzy"] / row["pid"])
             claims.append(
-                _claim(
+                claim(
                     f"arithmetic-{name.replace('_', '-')}", where,
                     f"{name.replace('_', ' ')}: the printed share is that of the printed errors",
                     lambda e, saved=saved: saved, printed(0.1), "arithmetic of printed figures",
@@ -120,41 +99,41 @@ BLIND, OBSERVED, WEAK = "large gain, no observer", "small gain, observer", "smal
 def _observer() -> list[Claim]:
     reaching = "eta > |d - d^| with the observer's own transfer function"
     return [
-        _claim(
+        claim(
             "figure6-chattering", "Figures 5, 6",
             "with the observer the control signal chatters far less (total variation of the "
             "current over that without, worst axis)",
             _over_axes("command_variation_A_per_s", OBSERVED, BLIND), at_most(0.5),
             f"{GAINS}: the ratio is about that of the two gains",
         ),
-        _claim(
-            "figure5-large-gain", "Figure 5",
+        claim(
+            "figure5-large-gain", "Picked 5",
             "without observer a large switching gain is needed (RMS error of the small one over "
             "that of the large one, least axis)",
             lambda e: _inverse(_over_axes("following_rms_um", BLIND, WEAK)(e)), at_least(10.0),
             GAINS,
         ),
-        _claim(
+        claim(
             "figure6-error", "Figures 5, 6",
             "the observer also serves the tracking (RMS error over that of the large gain without, "
             "worst axis)",
             _over_axes("following_rms_um", OBSERVED, BLIND), at_most(1.0), GAINS,
         ),
-        _claim(
-            "figure6d", "Figure 6d",
+        claim(
+            "figure6d", "Picked 6d",
             "the disturbance is estimated well (largest error over the amplitude, worst axis)",
             lambda e: 100 * max(estimate_error(e)), at_most(5.0),
             "set by k1, k2 and the frequencies of the disturbance, all chosen", None, "%",
         ),
-        _claim(
-            "figure7", "Figure 7",
+        claim(
+            "figure7", "Picked 7",
             "sliding mode with observer tracks better than the PD robust controller (RMS error, "
             "worst axis)",
             _over_axes("following_rms_um", "none", "pd"), at_most(1.0),
             "PD gains with the poles of the boundary layer; only the name of its law survives",
         ),
-        _claim(
-            "figure7-cause", "Figure 7",
+        claim(
+            "figure7-cause", "Picked 7",
             "the sliding mode is what makes it better (contour RMS of PD with the same observer "
             "over that of sliding mode with it)",
             _over("contour_rms_um", "pd-observed", "none"), at_least(1.05),
@@ -169,7 +148,7 @@ def _observer() -> list[Claim]:
 
 
 def _inverse(value: float | None) -> float | None:
-    return _ratio(1.0, value)
+    return ratio(1.0, value)
 
 
 # --- the coupling --------------------------------------------------------------------------------
@@ -183,7 +162,7 @@ def _tables() -> list[Claim]:
             row = TABLE4.get(f"{axis}_{name}")
             start = "; that of x and z is the error at the start" if name == "max" else ""
             claims.append(
-                _claim(
+                claim(
                     f"table4-{axis}-{name}", "Table 4",
                     f"{axis}: adaptive fuzzy coupling reduces the {unit} against PID coupling",
                     _saved(figure, axis), at_least(1.0),
@@ -192,7 +171,7 @@ def _tables() -> list[Claim]:
             )  # fmt: skip
             if row:
                 claims.append(
-                    _claim(
+                    claim(
                         f"table4-{axis}-{name}-size", "Table 4", f"{axis}: size of that saving",
                         _saved(figure, axis), within(LEVEL),
                         f"{CHOSEN}; a force normal to the path cannot remove a tangential error",
@@ -205,13 +184,13 @@ def _tables() -> list[Claim]:
         rates = "the learning rates decide"
         why = "here it is the error at the start, which no law can change" if name == "max" else ""
         claims += [
-            _claim(
+            claim(
                 f"table5-{name}", "Table 5",
                 f"adaptive fuzzy coupling reduces the contour error's {name.upper()} against PID",
                 _saved(f"contour_{name}_um"), at_least(1.0), "; ".join(filter(None, (CHOSEN, why))),
                 None, "%",
             ),
-            _claim(
+            claim(
                 f"table5-{name}-size", "Table 5", "size of that saving",
                 _saved(f"contour_{name}_um"), within(LEVEL), f"{CHOSEN}; {why or rates}",
                 share, "%",
@@ -224,70 +203,70 @@ def _faster(evidence: Evidence) -> float | None:
     saved = [
         _saved("contour_rms_um", by=f"af-pid-ccc/rates-{factor:g}")(evidence) for factor in RATES
     ]
-    return _worst(saved)
+    return largest(saved)
 
 
 def _coupling() -> list[Claim]:
     return [
-        _claim(
+        claim(
             "coupling", "Introduction, conclusions",
             "improving the axes alone is not enough: cross-coupling lowers the contour error (RMS "
             "with PID coupling over without)",
-            _over("contour_rms_um", "pid-ccc", "none"), at_most(1.0),
+            _over("contour_rms_um", "pid-ccc", "none"), at_most(1.0), CHOSEN,
         ),
-        _claim(
+        claim(
             "coupling-sign", "Figures 5, 6, 8",
             "it does so with the switching of Figures 5 and 6 (mean contour error with adaptive "
             "coupling over without, switching by the sign)",
             _over("contour_mean_um", "sign, af-pid-ccc", "sign, none"), at_most(1.0),
             f"{CHOSEN}; ideal sliding takes up in its equivalent control what the coupling adds",
         ),
-        _claim(
+        claim(
             "estimate", "Contour error estimate",
             "the distance to the tangent is the contour error while it is small (RMS of the "
             "estimate, share off the true one)",
             _off, at_most(1.0), CHOSEN, None, "%",
         ),
-        _claim(
+        claim(
             "rates", "Table 5",
             "the printed saving of RMS can be had (largest saving at faster learning)",
             _faster, at_least(TABLE5["contour_rms"]["saved_percent"]),
             f"{CHOSEN}; learning rates up to {max(RATES):g} times the study's",
             TABLE5["contour_rms"]["saved_percent"], "%",
         ),
-        _claim(
+        claim(
             "schedule", "Adaptive fuzzy PID",
             "fuzzy scheduling of the gains helps (contour RMS with rules that do not learn over "
             "constant gains)",
-            _over("contour_rms_um", "fuzzy-frozen", "pid-ccc"), at_most(1.0),
+            _over("contour_rms_um", "fuzzy-frozen", "pid-ccc"), at_most(1.0), CHOSEN,
         ),
-        _claim(
+        claim(
             "adaptation-cause", "Abstract, conclusions",
             "on-line adaptation is what makes it better (contour RMS over that of constant gains "
             "at the adapted gains' mean)",
             _over("contour_rms_um", "af-pid-ccc", "pid-ccc/mean-gains"), at_most(1.0),
             f"{CHOSEN}; the level of the gains makes the difference, not their scheduling",
         ),
-        _claim(
+        claim(
             "mismatch", "Abstract, conclusions",
             "adaptive coupling eliminates the influence of unequal axes (rise of the contour RMS "
             "from equal to unequal axes over that without coupling)",
             _influence, at_most(LEFT),
             f"equal: machine and law of y on all axes, same disturbing accelerations; {CHOSEN}",
         ),
-        _claim(
+        claim(
             "robust", "Abstract, introduction",
             "robust to parameter changes and disturbance (worst contour RMS of other machines over "
             "nominal)",
-            lambda e: _ratio(_worst(_machines(e, "af-pid-ccc")), e["af-pid-ccc"]["contour_rms_um"]),
+            lambda e: ratio(largest(_machines(e, "af-pid-ccc")), e["af-pid-ccc"]["contour_rms_um"]),
             at_most(1 + RISE), f"{DRAWS} machines drawn from the spreads (chosen)",
         ),
-        _claim(
+        claim(
             "robust-better", "Abstract",
             "better than PID coupling on every one of them (largest ratio of contour RMS)",
-            lambda e: _worst(
+            lambda e: largest(
                 [
-                    _ratio(a, b)
+                    ratio(a, b)
                     for a, b in zip(_machines(e, "af-pid-ccc"), _machines(e, "pid-ccc"),
                                     strict=True)
                 ]
@@ -299,7 +278,7 @@ def _coupling() -> list[Claim]:
 
 def _off(evidence: Evidence) -> float | None:
     figures = evidence["af-pid-ccc"]
-    share = _ratio(figures["contour_tangent_rms_um"], figures["contour_rms_um"])
+    share = ratio(figures["contour_tangent_rms_um"], figures["contour_rms_um"])
     return None if share is None else 100 * abs(share - 1)
 
 
@@ -314,13 +293,13 @@ def _influence(evidence: Evidence) -> float | None:
         if unequal is None or equal is None:
             return None
         rises.append(abs(unequal - equal))
-    return _ratio(*rises)
+    return ratio(*rises)
 
 
 def _lost() -> list[Claim]:
     lost = "not in the text at hand"
     return [
-        unchecked("table1", "Table 1, Figure 3", "fuzzy rules and membership functions", None, "",
+        unchecked("table1", "Table 1, Picked 3", "fuzzy rules and membership functions", None, "",
                   f"{lost}; the classical rules and Gaussian sets stand in"),
         unchecked("table2", "Table 2", "parameters of the stage", None, "", lost),
         unchecked("table3", "Table 3", "parameters of the controllers", None, "", lost),

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from jaxstage.controllers.parts.cmac import INTERVALS, association_matrix
-from jaxstage.studies.claim import Claim, Evidence, at_least, at_most, unchecked
+from jaxstage.studies.claim import Claim, Evidence, at_least, at_most, claim, unchecked
+from jaxstage.studies.figures import largest, ratio
 from jaxstage.studies.fuzzy_cmac.experiments import DRAWS, across_machines
 from jaxstage.studies.fuzzy_cmac.loops import CONTOURS, dfcmac_gains, plant
 from jaxstage.studies.fuzzy_cmac.table_claims import (
@@ -14,9 +15,6 @@ from jaxstage.studies.fuzzy_cmac.table_claims import (
     LAP_TIME,
     PUBLISHED,
     cell,
-    claim,
-    largest,
-    ratio,
     table_claims,
 )
 

@@ -1,20 +1,20 @@
 """What Tables 2 and 3 of the fuzzy-CMAC paper claim, cell by cell and taken together."""
 
 import math
-from collections.abc import Callable
 from statistics import mean
 from typing import Any
 
 from jaxstage.studies.claim import (
-    Bound,
     Claim,
     Evidence,
     at_least,
     at_most,
+    claim,
     printed,
     unchecked,
     within,
 )
+from jaxstage.studies.figures import largest, ratio, saving
 from jaxstage.studies.fuzzy_cmac.loops import CONTOURS
 from jaxstage.studies.packaged import packaged_toml
 
@@ -32,23 +32,6 @@ CREDIT = "rests on the credits 1/4 and 1 (chosen: readings of (9) and (22))"
 FIELD = "measured on the authors' machine, whose parameters are not printed"
 
 
-def claim(
-    id: str,
-    where: str,
-    text: str,
-    ours: Callable[[Evidence], float | None],
-    bound: Bound,
-    reason: str,
-    published: float | None = None,
-    unit: str = "",
-) -> Claim:
-    """A `Claim`, with what most of them lack left out."""
-    return Claim(
-        id=id, where=where, text=text, published=published, unit=unit, ours=ours, bound=bound,
-        reason=reason,
-    )  # fmt: skip
-
-
 def cell(law: str, figure: str, contour: str, lap: str = "second lap") -> Any:
     """Picks a figure of one law on one contour in one lap."""
     return lambda evidence: evidence[f"{law}-{contour}/{lap}"][f"{figure}_um"]
@@ -64,17 +47,6 @@ def _usual(evidence: Evidence, name: str) -> float | None:
     """Mean ATE over the four contours at the usual control period."""
     cells = [evidence[f"{name}-{contour}"]["ate_um"] for contour in CONTOURS]
     return None if None in cells else mean(cells)
-
-
-def ratio(top: float | None, bottom: float | None) -> float | None:
-    """top / bottom, None where one is missing."""
-    return None if top is None or not bottom else top / bottom
-
-
-def largest(values: list[float | None]) -> float | None:
-    """The largest of figures, None where one is missing."""
-    known = [v for v in values if v is not None]
-    return max(known) if len(known) == len(values) else None
 
 
 def _table2() -> list[Claim]:
@@ -126,11 +98,6 @@ def shape(evidence: Evidence) -> float | None:
     return mean(known) if len(known) == len(ratios) else None
 
 
-def _saved(better: float | None, worse: float | None) -> float | None:
-    left = ratio(better, worse)
-    return None if left is None else 1 - left
-
-
 def pattern(evidence: Evidence) -> float | None:
     """RMS log error of the 16 cells of Table 2 over that of one constant per column."""
     ours, null = [], []
@@ -167,7 +134,7 @@ def _comparison() -> list[Claim]:
             claim(
                 f"table2-{figure}-reduction", "Table 2",
                 f"DFCMAC lowers the average {figure.upper()} by this share",
-                lambda e, figure=figure: _saved(
+                lambda e, figure=figure: saving(
                     average(e, "dfcmac", figure), average(e, "cmac", figure)
                 ),
                 within(0.1),
@@ -196,7 +163,7 @@ def _comparison() -> list[Claim]:
             "fuzzy-cause", "Section 3.3",
             "the Gaussian receptive fields cause the improvement: share of ATE saved when the "
             "conventional CMAC learns at the same rate (credit 0.442)",
-            lambda e: _saved(_usual(e, "dfcmac"), _usual(e, "cmac-equal-rate")), at_least(half),
+            lambda e: saving(_usual(e, "dfcmac"), _usual(e, "cmac-equal-rate")), at_least(half),
             "holds if half the published saving is left; what differs is the learning rate "
             "2 r1 nu |xi|^2, not the fuzzy fields",
         ),

@@ -4,7 +4,17 @@ import math
 
 import numpy as np
 
-from jaxstage.studies.claim import Claim, Evidence, at_least, at_most, printed, unchecked, within
+from jaxstage.studies.claim import (
+    Claim,
+    Evidence,
+    at_least,
+    at_most,
+    claim,
+    printed,
+    unchecked,
+    within,
+)
+from jaxstage.studies.figures import ratio
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.experiments import GAINS, RUN_TIMES, STEP_GAINS
 from jaxstage.studies.mrac_asmc.picking import (
@@ -16,11 +26,9 @@ from jaxstage.studies.mrac_asmc.picking import (
     PRINTED_PAIR,
     PUBLISHED,
     SELECTED,
-    claim,
     neighbours,
     of,
     over,
-    quotient,
     saved,
 )
 from jaxstage.studies.mrac_asmc.simulation_claims import simulation_claims
@@ -37,7 +45,7 @@ def _damping_ratio() -> float:
 def _share(evidence: Evidence) -> float | None:
     """What a fixed sigmoid saves of the chattering of SMC, over what ASMC+MRAC saves."""
     alone = saved("sigmoid-r", "smc1500-r", "chattering_um")(evidence)
-    return quotient(alone, saved("asmc-mrac-caps-r", "smc1500-r", "chattering_um")(evidence))
+    return ratio(alone, saved("asmc-mrac-caps-r", "smc1500-r", "chattering_um")(evidence))
 
 
 def _steps() -> list[Claim]:

@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxstage.studies.claim import Bound, Claim, Evidence
+from jaxstage.studies.claim import Evidence, Picked
+from jaxstage.studies.figures import ratio
 from jaxstage.studies.mrac_asmc.experiments import STARTS
 from jaxstage.studies.packaged import packaged_toml
 
@@ -25,20 +26,6 @@ OURS = "the paper's MRAC law is not printed; ours is another one"
 ALONE = "follows from published values alone"
 PRINTED_PAIR = "arithmetic of printed figures"
 
-#: a number picked out of the evidence, None where a run it needs was lost
-Picked = Callable[[Evidence], float | None]
-
-
-def claim(
-    id: str, where: str, text: str, ours: Picked, bound: Bound, reason: str,
-    published: float | None = None, unit: str = "",
-) -> Claim:  # fmt: skip
-    """A `Claim`, with what most of them lack left out."""
-    return Claim(
-        id=id, where=where, text=text, published=published, unit=unit, ours=ours, bound=bound,
-        reason=reason,
-    )  # fmt: skip
-
 
 def mean_figure(evidence: Evidence, case: str, figure: str) -> float | None:
     """A figure of a case, the mean over its starts where it has several."""
@@ -52,14 +39,9 @@ def of(case: str, figure: str) -> Picked:
     return lambda evidence: mean_figure(evidence, case, figure)
 
 
-def quotient(top: float | None, bottom: float | None) -> float | None:
-    """top / bottom, None where one is missing."""
-    return None if top is None or not bottom else top / bottom
-
-
 def over(first: str, second: str, figure: str, other: str = "") -> Picked:
     """A figure of the first case over one of the second."""
-    return lambda evidence: quotient(
+    return lambda evidence: ratio(
         mean_figure(evidence, first, figure), mean_figure(evidence, second, other or figure)
     )
 
@@ -78,7 +60,7 @@ def growth(case: str, figure: str, since: str) -> Picked:
     """How much an adapted value changed from a moment to the end, over its value there."""
 
     def share(evidence: Evidence) -> float | None:
-        found = quotient(evidence[case][f"{figure}_end"], evidence[case][f"{figure}_{since}"])
+        found = ratio(evidence[case][f"{figure}_end"], evidence[case][f"{figure}_{since}"])
         return None if found is None else found - 1
 
     return share
@@ -87,10 +69,10 @@ def growth(case: str, figure: str, since: str) -> Picked:
 def neighbours(cases: list[str], figure: str, pick: Callable[[list[float]], float]) -> Picked:
     """The smallest or largest ratio of a figure of neighbours in a row of cases."""
 
-    def ratio(evidence: Evidence) -> float | None:
+    def extreme(evidence: Evidence) -> float | None:
         found = [evidence[case][figure] for case in cases]
         if None in found:
             return None
         return pick([b / a for a, b in itertools.pairwise(found)])
 
-    return ratio
+    return extreme

@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from jaxstage.studies.claim import Bound, Claim, at_least, at_most, within
+from jaxstage.studies.claim import Bound, Claim, at_least, at_most, claim, within
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.picking import (
     ALONE,
     LEAD,
     LEVEL,
     PUBLISHED,
-    claim,
     growth,
     of,
     over,
