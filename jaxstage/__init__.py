@@ -13,7 +13,7 @@ references   NURBS curves, timing, motion        loads, sensors, drives
 metrics      online figures, windows, recording  studies      published systems, ready to run
 rollout      simulate, replay                    batch        rollouts: many runs at once
 gradients    derivatives, and a check of them    settings     names, TOML files
-stability    eigenvalues of one tick            runtime      precision, devices, cache
+stability    eigenvalues of one tick             runtime      precision, devices, cache
 plot         pictures (imports matplotlib)
 """
 

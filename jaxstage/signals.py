@@ -115,6 +115,7 @@ class Sample:
     )
     load: Array = signal("N", "F", "force of the load block at the tick", shape="(axes,)")
     power: Power = part("mean power over the period")
+    storing: Array = signal("W", "", "mean rate of the stored energy", shape="(axes,)")
 
 
 @pytree

@@ -55,6 +55,7 @@ def tick(loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry) ->
         applied=applied,
         load=loop.load.force(scenario.load, time, load_key, output),
         power=power,
+        storing=_storing(loop, scenario, carry.state, state),
     )
     with jax.named_scope("metric"):
         metric, row = loop.metric.update(carry.metric, sample, loop.dt)
@@ -68,6 +69,12 @@ def tick(loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry) ->
         step=carry.step + 1,
     )
     return after, row
+
+
+def _storing(loop: Loop, scenario: Scenario, before: Any, after: Any) -> Array:
+    """Mean rate of the stored energy over a period, (axes,) W."""
+    stored = loop.plant.stored
+    return (stored(scenario.plant, after) - stored(scenario.plant, before)) / loop.dt
 
 
 def tick_keys(scenario: Scenario, step: Array) -> Array:

@@ -279,3 +279,22 @@ def table_loop(controller: Controller, metric: Metric = tracking, **changes: Any
         dt=DT,
     )
     return replace(loop, **changes), scenario(), path
+
+
+def one_size(paths: list[Any]) -> list[Any]:
+    """Laps whose arrays have equal shapes: a shorter table ends in copies of its last row."""
+
+    def padded(*leaves: Array) -> list[Array]:
+        sizes = np.array([x.shape for x in leaves])
+        ends = [[(0, n) for n in sizes.max(axis=0) - size] for size in sizes]
+        pairs = zip(leaves, ends, strict=True)
+        return [jnp.asarray(np.pad(x, end, mode="edge")) if end else x for x, end in pairs]
+
+    leaves, structure = zip(*map(jax.tree.flatten, paths), strict=True)
+    every = [padded(*same) for same in zip(*leaves, strict=True)]
+    return [jax.tree.unflatten(structure[0], own) for own in zip(*every, strict=True)]
+
+
+def stacked(paths: list[Any]) -> Any:
+    """Laps of one length as a batch."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *one_size(paths))

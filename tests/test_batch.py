@@ -1,5 +1,6 @@
 """Batches: equal to single runs, to each other for any tile and device count, and independent."""
 
+import functools
 import json
 import os
 import subprocess
@@ -20,9 +21,14 @@ LANES = 11
 TIMING = js.Timing(lap_time=0.1, laps=1)
 
 
+#: all default metrics
+FULL = standard(lambda memory: memory.surface)
+
+build = functools.cache(js.build)
+
+
 def case(metric=tracking, name="dfcmac-circle"):
-    built = js.build(name, TIMING)
-    return built._replace(loop=js.replace(built.loop, metric=metric))
+    return js.with_metric(build(name, TIMING), metric)
 
 
 def none_of(tree):
@@ -50,12 +56,19 @@ def alone(c, gains):
     return js.simulate(c.loop, gains, c.scenario, c.path, 1000)
 
 
+@functools.cache
+def several(tile, broken=False):
+    """Runs of different slope; one of them may leave its path."""
+    c = case(FULL)
+    rate = jnp.full((LANES, 2), c.gains.rate).at[5].multiply(1e4 if broken else 1.0)
+    gains, axes = varied(c, rate=rate, slope=slopes())
+    return many(c, gains, axes, tile=tile)
+
+
 def test_a_batch_equals_single_runs():
-    c = case(standard(lambda memory: memory.surface))
-    gains, axes = varied(c, slope=slopes())
-    batch = many(c, gains, axes, tile=4)
-    for lane in range(LANES):
-        single = alone(c, js.replace(c.gains, slope=gains.slope[lane]))
+    c, batch = case(FULL), several(4)
+    for lane, slope in enumerate(slopes()):
+        single = alone(c, js.replace(c.gains, slope=slope))
         jax.tree.map(
             lambda x, y: np.testing.assert_allclose(x[lane], y, rtol=1e-9, atol=1e-15),  # noqa: B023
             batch.report, single.report,
@@ -65,17 +78,11 @@ def test_a_batch_equals_single_runs():
 
 @pytest.mark.parametrize("tile", [1, 2, 3, 5, 11, 64])
 def test_the_tile_does_not_change_a_bit(tile):
-    c = case(standard())
-    gains, axes = varied(c, slope=slopes())
-    jax.tree.map(
-        np.testing.assert_array_equal,
-        many(c, gains, axes, tile=tile).report,
-        many(c, gains, axes, tile=4).report,
-    )
+    jax.tree.map(np.testing.assert_array_equal, several(tile).report, several(4).report)
 
 
 def test_recorded_rows_of_a_batch():
-    c = case(record)
+    c = case(record, "pi-circle")
     gains, axes = varied(c, slope=slopes(3))
     rows = many(c, gains, axes, tile=2).rows
     assert rows.command.shape == (3, 1000, 2)
@@ -84,7 +91,7 @@ def test_recorded_rows_of_a_batch():
 
 
 def test_plants_starts_keys_and_paths_may_be_batched():
-    c = case()
+    c = case(name="pi-circle")
     count = 4
     mass = jnp.linspace(2e-3, 4e-3, count)[:, None] * jnp.ones((1, 2))
     scenario = js.replace(
@@ -114,7 +121,7 @@ def test_plants_starts_keys_and_paths_may_be_batched():
 
 def test_every_run_may_have_its_own_curve():
     """Reference parameters are batched like any other: no stored path a run."""
-    c = case()
+    c = case(name="pi-circle")
     loop = js.replace(c.loop, reference=nurbs_lap(1000, 1e-4))
     shapes = [jax.tree.map(jnp.asarray, curve()) for curve in (circle, heart)]
     curves = jax.tree.map(lambda *x: jnp.stack(x), *shapes)
@@ -129,9 +136,9 @@ def test_every_run_may_have_its_own_curve():
 
 def test_stored_paths_may_be_batched():
     """Each run its own lap, here both of one length; their period is that of the loop."""
-    paths = [js.build(f"dfcmac-{name}", TIMING).path for name in ("circle", "circle")]
+    paths = [build("pi-circle", TIMING).path] * 2
     paths[1] = js.replace(paths[1], setpoint=jax.tree.map(lambda x: 0.5 * x, paths[1].setpoint))
-    c = case()
+    c = case(name="pi-circle")
     batch = rollouts(
         c.loop, c.gains, c.scenario, jax.tree.map(lambda *x: jnp.stack(x), *paths), 500,
         in_axes=(None, None, 0), tile=2, devices=1,
@@ -142,11 +149,7 @@ def test_stored_paths_may_be_batched():
 
 
 def test_a_lost_lane_changes_nothing_in_the_others():
-    c = case(standard())
-    rate = jnp.full((LANES, 2), 10.0)
-    gains, axes = varied(c, rate=rate, slope=slopes())
-    good = many(c, gains, axes, tile=4)
-    broken = many(c, js.replace(gains, rate=rate.at[5].set(1e5)), axes, tile=4)
+    good, broken = several(4), several(4, broken=True)
     others = np.arange(LANES) != 5
     jax.tree.map(
         lambda x, y: np.testing.assert_array_equal(x[others], y[others]),
@@ -157,7 +160,7 @@ def test_a_lost_lane_changes_nothing_in_the_others():
 
 
 def test_changed_numbers_do_not_recompile():
-    c = case()
+    c = case(name="pi-circle")
     seen = []
     law = c.loop.controller
 
@@ -174,17 +177,22 @@ def test_changed_numbers_do_not_recompile():
 
 
 def test_gradients_go_through_a_batch():
-    c = case()
+    c = case(name="pi-circle")
     gains, axes = varied(c, slope=slopes(3))
 
     def total(slope):
         return jnp.sum(many(c, js.replace(gains, slope=slope), axes, tile=2).report.ate)
 
-    reverse = jax.grad(total)(gains.slope)
-    forward = jax.jacfwd(total)(gains.slope)
+    def one(slope):
+        return alone(c, js.replace(c.gains, slope=slope)).report.ate
+
+    @jax.jit
+    def derivatives(slope):
+        return jax.grad(total)(slope), jax.jacfwd(total)(slope), jax.grad(one)(slope[1])
+
+    reverse, forward, single = derivatives(gains.slope)
     np.testing.assert_allclose(reverse, forward, rtol=1e-9)
-    one = jax.grad(lambda s: alone(c, js.replace(c.gains, slope=s)).report.ate)(gains.slope[1])
-    np.testing.assert_allclose(reverse[1], one, rtol=1e-7)
+    np.testing.assert_allclose(reverse[1], single, rtol=1e-7)
 
 
 def test_bad_batches_are_refused():
@@ -223,7 +231,7 @@ def test_the_tile_is_measured_once_and_remembered(tmp_path, monkeypatch):
     monkeypatch.setattr(tiles, "_measure", lambda *a: measured.append(1) or original(*a))
     monkeypatch.setattr(tiles, "CANDIDATES", (2, 8))
     try:
-        c = case()
+        c = case(name="pi-circle")
         gains, axes = varied(c, slope=slopes())
         many(c, gains, axes)
         many(c, gains, axes)
@@ -236,7 +244,7 @@ def test_the_tile_is_measured_once_and_remembered(tmp_path, monkeypatch):
 DEVICES = """
 import sys, jax, numpy as np
 import jaxstage as js
-js.configure("double", cores=int(sys.argv[1]))
+js.configure("double", cores=2)
 from jaxstage.batch import rollouts
 from jaxstage.metrics import standard
 c = js.build("dfcmac-circle", js.Timing(lap_time=0.1, laps=1))
@@ -244,20 +252,23 @@ loop = js.replace(c.loop, metric=standard())
 slopes = np.random.default_rng(0).uniform(0.5, 4, (8, 2))
 gains = js.replace(c.gains, slope=slopes)
 axes = js.replace(jax.tree.map(lambda _: None, c.gains), slope=0)
-run = rollouts(loop, gains, c.scenario, c.path, 1000, in_axes=(axes, None, None), tile=2)
-assert len(run.report["tracking"].ate.sharding.device_set) == int(sys.argv[1])
-np.save(sys.argv[2], np.concatenate([np.ravel(x) for x in jax.tree.leaves(run.report)]))
+found = []
+for devices in (1, None):
+    run = rollouts(
+        loop, gains, c.scenario, c.path, 1000, in_axes=(axes, None, None), tile=2, devices=devices
+    )
+    assert len(run.report["tracking"].ate.sharding.device_set) == (devices or 2)
+    found.append(np.concatenate([np.ravel(x) for x in jax.tree.leaves(run.report)]))
+np.save(sys.argv[1], found)
 """
 
 
 def test_the_number_of_devices_does_not_change_a_result(tmp_path):
     """XLA compiles the partitioned program on its own, so the last bits may differ: < 1e-10."""
-    found = []
-    for devices in (1, 2):
-        file = tmp_path / f"{devices}.npy"
-        subprocess.run(
-            [sys.executable, "-c", DEVICES, str(devices), str(file)],
-            check=True, env={**os.environ, "JAX_ENABLE_X64": "1"},
-        )  # fmt: skip
-        found.append(np.load(file))
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-10, atol=1e-15)
+    file = tmp_path / "found.npy"
+    subprocess.run(
+        [sys.executable, "-c", DEVICES, str(file)],
+        check=True, env={**os.environ, "JAX_ENABLE_X64": "1"},
+    )  # fmt: skip
+    one, two = np.load(file)
+    np.testing.assert_allclose(one, two, rtol=1e-10, atol=1e-15)

@@ -38,6 +38,10 @@ SCHEMA = {
 }
 
 
+#: figures that are counts or shares: without unit
+SHARES = ("reversals", "saturated", "contour_beyond", "reaching_share")
+
+
 class Result:
     """What a command did."""
 
@@ -59,7 +63,13 @@ def strict_json(text):
 
 
 @pytest.fixture
-def jaxstage(monkeypatch, capsys, tmp_path, tmp_path_factory):
+def cache(tmp_path_factory):
+    """A cache folder that all of these tests share."""
+    return tmp_path_factory.getbasetemp() / "cache"
+
+
+@pytest.fixture
+def jaxstage(monkeypatch, capsys, tmp_path, cache):
     """Call the command line in this process, in an empty folder."""
     kept = {
         name: getattr(jax.config, name)
@@ -72,7 +82,7 @@ def jaxstage(monkeypatch, capsys, tmp_path, tmp_path_factory):
     here = tmp_path / "here"
     here.mkdir()
     monkeypatch.chdir(here)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
 
     def call(*words):
         monkeypatch.setattr(sys, "argv", ["jaxstage", *map(str, words)])
@@ -86,14 +96,14 @@ def jaxstage(monkeypatch, capsys, tmp_path, tmp_path_factory):
         jax.config.update(name, value)
 
 
-def process(*words, cwd):
+def process(*words, cwd, cache):
     """Call the command line as a program of its own."""
     return subprocess.run(
         [sys.executable, "-c", "from tuning.cli import main; main()", *words],
         capture_output=True,
         text=True,
         cwd=cwd,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(cwd)},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(cache)},
         check=False,
     )
 
@@ -152,9 +162,7 @@ def test_figures_are_numbers_or_one_per_axis(jaxstage):
         numbers = value.values() if isinstance(value, dict) else [value]
         assert not isinstance(value, dict) or list(value) == ["x", "y"], key
         assert all(n is None or type(n) in (int, float) for n in numbers), key
-        assert split_key(key)[1] or key.startswith(
-            ("reversals", "saturated", "contour_beyond", "reaching_share")
-        ), f"{key}: no unit"
+        assert split_key(key)[1] or key.startswith(SHARES), f"{key}: no unit"
     for key in ("ate_um", "tesd_um", "contour_rms_um", "contour_max_um"):
         assert found["metrics"][key] > 0
     assert set(found["metrics"]["command_rms_A"]) == {"x", "y"}
@@ -174,13 +182,15 @@ def test_json_and_table_say_the_same(jaxstage):
     assert text.out.count("\n") > 20
 
 
-def test_a_scored_lap_and_a_part_lap(jaxstage):
+def test_a_feed_a_scored_lap_and_a_part_lap(jaxstage):
     """Two laps and a half: the second is scored; the whole run is something else."""
     found = jaxstage(
-        "run", "pi-circle", "--json", "--set", "lap_time=0.02", "--duration", "0.05"
+        "run", "pi-circle", "--json", "--set", "feed=300000", "--duration", "0.0785"
     ).json
+    # circumference 157.08 mm at 300 m/min = 5 m/s
+    assert found["lap_time_s"] == pytest.approx(0.15708 / 5, rel=5e-3)
     assert found["scored"] == 2 and found["laps"] == 2.5
-    assert found["duration_s"] == pytest.approx(0.05)
+    assert found["duration_s"] == pytest.approx(0.0785)
     assert found["metrics"]["ate_um"] != found["metrics_whole_run"]["ate_um"]
 
 
@@ -204,9 +214,6 @@ def test_timing_settings(jaxstage):
     assert found["lap_time_s"] == pytest.approx(0.03)
     assert (found["laps"], found["scored"]) == (2, 1)
     assert found["dt_s"] == 2e-4 and found["duration_s"] == pytest.approx(0.06)
-    feed = jaxstage("run", "pi-circle", "--json", "--set", "feed=300000", "--set", "laps=1").json
-    # circumference 157.08 mm at 300 m/min = 5 m/s
-    assert feed["lap_time_s"] == pytest.approx(0.15708 / 5, rel=5e-3)
 
 
 def test_a_changed_plant_says_what_the_law_still_assumes(jaxstage):
@@ -223,9 +230,9 @@ def test_a_changed_plant_says_what_the_law_still_assumes(jaxstage):
 
 
 def test_single_precision(jaxstage):
-    result = jaxstage("run", "pi-circle", *SHORT, "--precision", "single", "--json")
+    result = jaxstage("run", "dfcmac-circle", *SHORT, "--precision", "single", "--json")
     assert result.status == 0 and result.json["precision"] == "single"
-    double = jaxstage("run", "pi-circle", *SHORT, "--json").json
+    double = jaxstage("run", "dfcmac-circle", *SHORT, "--json").json
     assert double["precision"] == "double"
     a, b = result.json["metrics"]["ate_um"], double["metrics"]["ate_um"]
     assert a != b and a == pytest.approx(b, rel=1e-2)
@@ -359,7 +366,7 @@ def test_a_folder_without_permission(jaxstage, tmp_path):
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that refuses files")
 def test_a_folder_that_cannot_be_made(jaxstage):
-    result = jaxstage("run", "pi-circle", *SHORT, "--json", "--out", "/proc/nowhere/out")
+    result = jaxstage("run", "dfcmac-circle", *SHORT, "--json", "--out", "/proc/nowhere/out")
     assert result.status == 2 and result.out == ""
     assert result.err.count("\n") == 1 and "/proc/nowhere" in result.err
 
@@ -367,13 +374,14 @@ def test_a_folder_that_cannot_be_made(jaxstage):
 # --- as a program ---------------------------------------------------------------------------------
 
 
-def test_as_a_program(tmp_path):
+def test_as_a_program(tmp_path, cache):
     """Standard output is the object alone; a wrong use ends with status 2."""
-    done = process("run", "pi-circle", "--json", *SHORT, "--set", "plant.load=0.2", cwd=tmp_path)
+    here = dict(cwd=tmp_path, cache=cache)
+    done = process("run", "dfcmac-circle", "--json", *SHORT, "--set", "plant.load=0.2", **here)
     assert done.returncode == 0
     found = strict_json(done.stdout)
-    assert found["loop"] == "pi-circle" and found["finite"]
-    wrong = process("run", "pi-circl", cwd=tmp_path)
+    assert found["loop"] == "dfcmac-circle" and found["finite"]
+    wrong = process("run", "pi-circl", **here)
     assert wrong.returncode == 2 and wrong.stdout == "" and wrong.stderr.count("\n") == 1
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import jaxstage as js
 from jaxstage import plot
+from jaxstage.controllers.fuzzy_rules import readable
 from jaxstage.controllers.parts.fuzzy import seven_sets
 from jaxstage.fields import replace
 from jaxstage.metrics import (
@@ -24,7 +25,9 @@ from jaxstage.metrics import (
 )
 from jaxstage.plot.contour import magnification
 from jaxstage.plot.pictures import VIEWS, _applies
+from jaxstage.references import helical
 from jaxstage.studies.case import scored
+from jaxstage.studies.experiment import simulate_all
 from jaxstage.studies.fuzzy_ccc import study, values
 from jaxstage.studies.fuzzy_ccc.experiments import (
     SIGNALS,
@@ -34,6 +37,7 @@ from jaxstage.studies.fuzzy_ccc.experiments import (
     switched,
 )
 from jaxstage.studies.fuzzy_ccc.loops import TIMING, build, law
+from jaxstage.studies.fuzzy_ccc.variants import of_adaptive, of_none, of_pid
 from tuning import cli
 
 SHORT = replace(TIMING, duration=0.2, dt=1e-3)
@@ -93,12 +97,12 @@ def test_a_switching_gain_below_what_is_left_of_the_load_is_noted(name):
     """|d - d^| is 21, 15 and 12 mm/s2 with the observer of the study."""
     one = entry(name)
     case = one.build(TIMING)
-    assert one.notes(case) == ()
+    assert one.notes(case, {}) == ()
     weak = jnp.array([0.02, 0.5, 0.5])
     observed = case.gains if name == "none" else case.gains.law
     observed = replace(observed, law=replace(observed.law, switching_gain=weak))
     gains = observed if name == "none" else replace(case.gains, law=observed)
-    (note,) = one.notes(case._replace(gains=gains))
+    (note,) = one.notes(case._replace(gains=gains), {})
     assert note.startswith("x: switching gain 0.02 m/s2 is below the 0.0209 m/s2")
 
 
@@ -121,6 +125,32 @@ def test_run_on_the_command_line(monkeypatch, capsys):
         assert metrics[key] is not None, key
     readme = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
     assert not [key for key in metrics if f"`{key}`" not in readme]
+
+
+def test_rules_are_readable_before_and_after(recorded):
+    case, run = recorded
+    text = readable(case.gains, run.final.memory)
+    assert text is not None
+    assert "X1 = 3 tanh(-E / 50 um), X2 = 3 tanh(-E' / 2 mm/s)" in text
+    assert "sets of X2: centres -3 -2 -1 0 1 2 3, width 0.6006" in text
+    blocks = dict(block.split("\n", 1) for block in text.strip().split("\n\n")[1:])
+    assert len(blocks) == 6
+    for symbol, unit, field in (
+        ("K_P", "1/s2", "proportional"), ("K_I", "1/s3", "integral"), ("K_D", "1/s", "derivative"),
+    ):  # fmt: skip
+        for when, rules in (
+            ("start", case.gains.extra.rules),
+            ("end", run.final.memory.extra.learned),
+        ):
+            block = blocks[f"{symbol} in {unit}, at the {when}: rows X1, columns X2"]
+            numbers = [line.split("|")[1].split() for line in block.splitlines()[1:]]
+            np.testing.assert_allclose(np.array(numbers, float), getattr(rules, field), rtol=6e-4)
+    begun, ended = (
+        blocks[f"K_P in 1/s2, at the {w}: rows X1, columns X2"] for w in ("start", "end")
+    )
+    assert begun != ended, "nothing was learned"
+    bare = entry("none").build(SHORT)
+    assert readable(bare.gains, run.final.memory.law) is None
 
 
 # --- metrics -------------------------------------------------------------------------------------
@@ -158,6 +188,35 @@ def test_matched_axes_are_alike_and_disturbed_as_before():
         disturbed = one.scenario.load.amplitude / one.scenario.plant.mass
         np.testing.assert_allclose(disturbed, [20 / 12, 15 / 8, 2.0])
     assert jax.tree.all(jax.tree.map(np.array_equal, case.gains.extra, found.gains.extra))
+
+
+#: RMS in um of the true contour error after 10 s, the laws integrated in continuous time
+VARIANTS = {
+    "af-pid-ccc/rates-0.25": 7.9807, "af-pid-ccc/rates-8": 6.2528, "af-pid-ccc/leak": 7.5400,
+    "af-pid-ccc/mass": 7.1574, "af-pid-ccc/rest": 11.950,
+    "pid-ccc/no-integral": 9.8251, "pid-ccc/K_P-1500": 7.6030, "pid-ccc/K_P-2000": 6.8920,
+    "pid-ccc/K_P-4000": 5.2615, "pid-ccc/mass": 8.2282, "pid-ccc/rest": 22.963,
+    "none/blind": 354.33, "none/rest": 42.412,
+}  # fmt: skip
+
+
+def test_variants_are_met_by_the_loops_of_the_study():
+    """Sampled at 1 ms in place of continuous: a wrong number in a variant shows, 2 % does not."""
+    cases = {}
+    for name, make in (("none", of_none), ("pid-ccc", of_pid), ("af-pid-ccc", of_adaptive)):
+        cases |= make(entry(name).build(TIMING))
+    cases = {name: cases[name] for name in VARIANTS}
+    coarse = {
+        name: case._replace(
+            loop=replace(case.loop, reference=helical(1e-3), metric=contour, dt=1e-3),
+            window=case.window._replace(ticks=10_000),
+        )
+        for name, case in cases.items()
+    }
+    assert len({case.loop for case in coarse.values()}) == 3, "variants share the loops"
+    found = {name: run.report.contour_rms * 1e6 for name, run in simulate_all(coarse).items()}
+    for name, expected in VARIANTS.items():
+        assert found[name] == pytest.approx(expected, rel=0.02), name
 
 
 def test_the_observer_is_judged_by_its_own_record():

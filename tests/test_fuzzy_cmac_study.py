@@ -2,9 +2,11 @@
 
 import functools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from batteries import stacked, tracing
 
 import jaxstage as js
 from jaxstage.controllers import per_axis, sliding
@@ -13,7 +15,6 @@ from jaxstage.metrics import (
     contour,
     effort,
     following,
-    record,
     standard,
     together,
     tracking,
@@ -27,7 +28,8 @@ from jaxstage.studies.fuzzy_cmac.loops import LAWS
 DIGIT = 5e-5  # um: every printed digit
 UM = 1e6
 CONTOURS = ("circle", "bowknot", "heart", "star")
-SHORT = js.Timing(lap_time=1.0, laps=1)
+PUBLISHED, SHORT = js.Timing(), js.Timing(lap_time=1.0, laps=1)
+FINE, COARSE = js.Timing(dt=2e-5), js.Timing(dt=1e-3)
 
 TRACKING = {  # T = 5 s, second lap: ATE, TESD of CMAC, then of DFCMAC
     "circle": (37.1139, 13.6812, 20.5661, 7.7521),
@@ -55,6 +57,10 @@ CONTOUR = {  # second lap: RMS, mean, max of CMAC, then of DFCMAC
 }
 
 
+build = functools.cache(js.build)
+BOTH = ("cmac", "dfcmac")
+
+
 def law(name):
     return next(entry for entry in LAWS if entry.name == name)
 
@@ -63,50 +69,82 @@ def run(case):
     return simulate(case.loop, case.gains, case.scenario, case.path, case.window.ticks)
 
 
-def with_gains(case, **changes):
-    spread = {
-        name: jnp.full_like(getattr(case.gains, name), value) for name, value in changes.items()
-    }
-    return case._replace(gains=js.replace(case.gains, **spread))
+def scored(metric, window):
+    return windowed(metric, window.start, window.stop, name="scored")
+
+
+def tracked(name, timing=PUBLISHED):
+    """The case with no other figures than ATE and TESD of the scored lap."""
+    case = build(name, timing)
+    return js.with_metric(case, scored(tracking, case.window))
+
+
+def changed(gains, **values):
+    spread = {name: jnp.full_like(getattr(gains, name), value) for name, value in values.items()}
+    return js.replace(gains, **spread)
 
 
 @functools.cache
-def normative(name, contour_name):
-    case = js.build(f"{name}-{contour_name}")
-    n = case.window.ticks // 2
-    both = together(tracking, contour)
-    metric = together(windowed(both, 0, n, name="first"), windowed(both, n, 2 * n, name="second"))
-    return run(js.with_metric(case, metric)).report
+def laps(timing, contours):
+    return stacked([build(f"cmac-{c}", timing).path for c in contours])
+
+
+@functools.cache
+def side_by_side(name, timing, metric, contours=CONTOURS):
+    """A law on several contours in one program, as a function of its gains."""
+    case = build(f"{name}-circle", timing)
+    loop = js.replace(case.loop, metric=metric)
+
+    @jax.jit
+    def every(gains, paths):
+        one = lambda path: simulate(loop, gains, case.scenario, path, case.window.ticks)  # noqa: E731
+        return jax.vmap(one)(paths)
+
+    return lambda gains=case.gains: every(gains, laps(timing, contours))
+
+
+@functools.cache
+def normative(name):
+    """Tracking in the first lap; tracking and contour in the second; a value per contour."""
+    n = build("cmac-circle", PUBLISHED).window.lap
+    second = windowed(together(tracking, contour), n, 2 * n, name="second")
+    metric = together(windowed(tracking, 0, n, name="first"), second)
+    report = side_by_side(name, PUBLISHED, metric)().report
+    return report["first"], report["second"]["tracking"], report["second"]["contour"]
 
 
 def figures(report):
-    return [report.ate * UM, report.tesd * UM]
+    return np.stack([report.ate, report.tesd]) * UM
 
 
 @pytest.mark.parametrize("contour_name", CONTOURS)
 def test_published_timing(contour_name):
-    crisp, fuzzy = (normative(name, contour_name) for name in ("cmac", "dfcmac"))
-    for lap, expected in (("second", TRACKING), ("first", FIRST_LAP)):
-        got = figures(crisp[lap]["tracking"]) + figures(fuzzy[lap]["tracking"])
-        np.testing.assert_allclose(got, expected[contour_name], atol=DIGIT, rtol=0)
+    lane = CONTOURS.index(contour_name)
+    for lap, expected in ((1, TRACKING), (0, FIRST_LAP)):
+        got = [figures(normative(name)[lap])[:, lane] for name in BOTH]
+        np.testing.assert_allclose(np.ravel(got), expected[contour_name], atol=DIGIT, rtol=0)
 
 
 @pytest.mark.parametrize("contour_name", CONTOURS)
 def test_true_contour_error(contour_name):
-    got = []
-    for name in ("cmac", "dfcmac"):
-        report = normative(name, contour_name)["second"]["contour"]
-        got += [report.contour_rms * UM, report.contour_mean * UM, report.contour_max * UM]
+    got, lane = [], CONTOURS.index(contour_name)
+    for name in BOTH:
+        report = normative(name)[2]
+        figures = (report.contour_rms, report.contour_mean, report.contour_max)
+        got += [figure[lane] * UM for figure in figures]
     # the printed figures are distances to a polyline of 800 000 segments, up to 1e-5 um off
     np.testing.assert_allclose(got, CONTOUR[contour_name], atol=DIGIT + 1e-5, rtol=0)
 
 
+@functools.cache
+def fast(name):
+    return side_by_side(name, SHORT, tracking)().report
+
+
 @pytest.mark.parametrize("contour_name", CONTOURS)
 def test_fast_timing(contour_name):
-    got = []
-    for name in ("cmac", "dfcmac"):
-        got += figures(run(js.build(f"{name}-{contour_name}", SHORT)).report["tracking"])
-    np.testing.assert_allclose(got, FAST[contour_name], atol=DIGIT, rtol=0)
+    got = [figures(fast(name))[:, CONTOURS.index(contour_name)] for name in BOTH]
+    np.testing.assert_allclose(np.ravel(got), FAST[contour_name], atol=DIGIT, rtol=0)
 
 
 TRACE = {
@@ -127,26 +165,37 @@ TRACE = {
 }
 
 
+def seen(sample):
+    return {
+        "reference": sample.setpoint.position,
+        "tool": sample.output.position,
+        "distance": sample.nearest.distance,
+        "command": sample.command,
+        "weights": sample.memory.weights,
+        "surface": sample.memory.surface,
+    }
+
+
 @functools.cache
 def recorded(name):
-    case = js.build(f"{name}-circle")
-    return run(js.with_metric(case, record)).rows
+    case = build(f"{name}-circle", PUBLISHED)
+    return jax.tree.map(np.asarray, run(js.with_metric(case, tracing(seen))).rows)
 
 
 @pytest.mark.parametrize(("name", "largest"), [("cmac", 72.2108), ("dfcmac", 40.7647)])
 def test_trace_of_the_circle(name, largest):
     rows = recorded(name)
-    error = np.linalg.norm(rows.setpoint.position - rows.output.position, axis=1) * UM
+    error = np.linalg.norm(rows["reference"] - rows["tool"], axis=1) * UM
     for k, (ux, uy, e) in TRACE[name].items():
-        np.testing.assert_allclose(rows.command[k], [ux, uy], atol=5e-13, rtol=0)
+        np.testing.assert_allclose(rows["command"][k], [ux, uy], atol=5e-13, rtol=0)
         np.testing.assert_allclose(error[k], e, atol=5e-10, rtol=0)
     np.testing.assert_allclose(error[50_000:].max(), largest, atol=DIGIT, rtol=0)
 
 
 def test_contour_error_of_the_circle_is_its_radius_error():
     rows = recorded("dfcmac")
-    radial = np.abs(np.linalg.norm(rows.output.position, axis=1) - 0.025)
-    np.testing.assert_allclose(rows.nearest.distance, radial, atol=1e-10)
+    radial = np.abs(np.linalg.norm(rows["tool"], axis=1) - 0.025)
+    np.testing.assert_allclose(rows["distance"], radial, atol=1e-10)
 
 
 STICK_SLIP = {  # learning gain nu |xi|^2; jumps x, y in um; ATE, TESD in um
@@ -161,11 +210,19 @@ def periodic_error(jump, lap_time, t):
     return jump / (1 + np.exp(-half)) * np.exp(-np.mod(t, half))
 
 
-@pytest.mark.parametrize("name", ["cmac", "dfcmac"])
+def finely(name):
+    """A law at 20 us, on the one stored lap that the laws share."""
+    case, path = build(f"{name}-circle", PUBLISHED), build("cmac-circle", FINE)
+    metric = scored(tracking, path.window)
+    loop = js.replace(case.loop, dt=FINE.dt, metric=metric)
+    return case._replace(loop=loop, path=path.path, window=path.window)
+
+
+@pytest.mark.parametrize("name", BOTH)
 def test_stick_slip_closed_form(name):
     """Each reversal leaves J = 2 F_s / (K_t 2 r1 nu b |xi|^2), which decays as exp(-c1 t)."""
     gain, jumps, (ate, tesd), fine = STICK_SLIP[name]
-    plant = js.build("dfcmac-circle", SHORT).scenario.plant
+    plant = build("cmac-circle", SHORT).scenario.plant
     b = plant.force_constant / plant.mass
     computed = 2 * plant.static / plant.force_constant / (2 * 10.0 * b * gain)
     np.testing.assert_allclose(computed * UM, jumps, atol=6e-4)
@@ -174,19 +231,14 @@ def test_stick_slip_closed_form(name):
         periodic_error(computed[0], 5.0, t), periodic_error(computed[1], 5.0, t - 1.25)
     )
     np.testing.assert_allclose([total.mean() * UM, total.std() * UM], [ate, tesd], atol=2e-3)
-    report = run(js.build(f"{name}-circle", js.Timing(dt=2e-5))).report["tracking"]
+    report = run(finely(name)).report
     np.testing.assert_allclose(report.ate * UM, fine, atol=5e-3)
     assert abs(report.ate * UM / ate - 1) < 0.01
 
 
 def test_fuzzy_beats_conventional_by_the_published_share():
     pairs = np.array([(TRACKING[c][0], TRACKING[c][2]) for c in CONTOURS])
-    measured = np.array(
-        [
-            [normative(name, c)["second"]["tracking"].ate * UM for name in ("cmac", "dfcmac")]
-            for c in CONTOURS
-        ]
-    )
+    measured = np.stack([normative(name)[1].ate * UM for name in BOTH], axis=1)
     np.testing.assert_allclose(measured, pairs, atol=DIGIT)
     assert (measured[:, 1] < measured[:, 0]).all()
     reduction = np.mean(1 - measured[:, 1] / measured[:, 0])
@@ -194,8 +246,9 @@ def test_fuzzy_beats_conventional_by_the_published_share():
 
 
 def ate_with_credit(credit):
-    cases = (with_gains(js.build(f"cmac-{c}"), credit=credit) for c in CONTOURS)
-    return [run(case).report["tracking"].ate * UM for case in cases]
+    case = build("cmac-circle", PUBLISHED)
+    every = side_by_side("cmac", PUBLISHED, scored(tracking, case.window))
+    return np.asarray(every(changed(case.gains, credit=credit)).report.ate) * UM
 
 
 def test_equal_learning_gain_removes_the_difference():
@@ -208,18 +261,19 @@ def test_equal_learning_gain_removes_the_difference():
 
 
 def test_only_the_ratio_of_m_and_sigma_acts():
-    case = js.build("dfcmac-circle", SHORT)
     twice = js.replace(
-        case.gains, receptive=Gaussian(spacing=jnp.full(2, 1.0), width=jnp.full(2, 2.0))
+        build("dfcmac-circle", SHORT).gains,
+        receptive=Gaussian(spacing=np.full(2, 1.0), width=np.full(2, 2.0)),
     )
-    a, b = (run(c).report["tracking"].ate for c in (case, case._replace(gains=twice)))
-    np.testing.assert_allclose(a, b, rtol=1e-9)
+    again = side_by_side("dfcmac", SHORT, tracking)(twice).report
+    np.testing.assert_allclose(again.ate, fast("dfcmac").ate, rtol=1e-9)
 
 
 def test_switching_gain_hardly_matters():
-    case = js.build("dfcmac-circle")
+    case = tracked("dfcmac-circle")
     for eta in (0.0, 1.0):  # 0 and 100 cm/s2
-        ate = run(with_gains(case, switching_gain=eta)).report["tracking"].ate * UM
+        gains = changed(case.gains, switching_gain=eta)
+        ate = run(case._replace(gains=gains)).report.ate * UM
         assert abs(ate / TRACKING["circle"][2] - 1) < 1e-3
 
 
@@ -230,44 +284,41 @@ def test_cmac_is_pi_on_the_circle():
     K = 2 r1 nu 4 b, adapt first.
     """
     rows = recorded("cmac")
-    touched = np.any(np.asarray(rows.memory.weights) != 0, axis=0)
+    touched = np.any(rows["weights"] != 0, axis=0)
     assert touched.sum() == 2 * 4
-    plant = js.build("cmac-circle", SHORT).scenario.plant
+    plant = build("cmac-circle", SHORT).scenario.plant
     b = np.asarray(plant.force_constant / plant.mass)
-    integral = np.cumsum(np.asarray(rows.memory.surface), axis=0) * 1e-4
-    relay = np.abs(np.asarray(rows.command) + 2 * 10.0 * b * integral)
+    integral = np.cumsum(rows["surface"], axis=0) * 1e-4
+    relay = np.abs(rows["command"] + 2 * 10.0 * b * integral)
     assert relay.max() <= 0.01 / b.min() * (1 + 1e-6) < 31.3e-6
-    report = run(js.build("pi-circle")).report["tracking"]
+    report = run(tracked("pi-circle")).report
     np.testing.assert_allclose([report.ate * UM, report.tesd * UM], [37.1137, 13.6822], atol=DIGIT)
 
 
 def lost(run_):
-    return int(run_.final.left_path_at), int(run_.final.non_finite_at)
+    """Ticks at which runs left the path and stopped being finite, -1 for never."""
+    return np.stack([run_.final.left_path_at, run_.final.non_finite_at])
 
 
 def test_what_diverges_is_flagged_and_what_does_not_is_not():
-    coarse = js.Timing(dt=1e-3)
-    bad = run(js.build("dfcmac-circle", coarse))
-    assert lost(bad)[0] > 0 and np.isnan(bad.report["tracking"].ate)
-    survivor = run(js.build("cmac-circle", coarse))
-    assert lost(survivor) == (-1, -1)
-    np.testing.assert_allclose(survivor.report["tracking"].ate * UM, 28.22, atol=5e-3)
-    for c in CONTOURS[1:]:
-        assert max(lost(run(js.build(f"cmac-{c}", coarse)))) > 0
+    bad = run(tracked("dfcmac-circle", COARSE))
+    assert lost(bad)[0] > 0 and np.isnan(bad.report.ate)
+    window = build("cmac-circle", COARSE).window
+    runs = side_by_side("cmac", COARSE, scored(tracking, window))()
+    assert (lost(runs)[:, 0] == -1).all()
+    np.testing.assert_allclose(runs.report.ate[0] * UM, 28.22, atol=5e-3)
+    assert (lost(runs)[:, 1:].max(axis=0) > 0).all()
 
 
 def test_backlash():
-    def loose(name, **timing):
-        case = js.build(f"{name}-circle", js.Timing(**timing))
+    def loose(case):
         plant = js.replace(case.scenario.plant, backlash=jnp.full(2, 0.02))
         return run(case._replace(scenario=js.replace(case.scenario, plant=plant)))
 
-    assert max(lost(loose("cmac"))) > 0
-    np.testing.assert_allclose(loose("dfcmac").report["tracking"].ate * UM, 20.4784, atol=DIGIT)
+    assert lost(loose(tracked("cmac-circle"))).max() > 0
+    np.testing.assert_allclose(loose(tracked("dfcmac-circle")).report.ate * UM, 20.4784, atol=DIGIT)
     # close to its stability limit: 1e-12 m at the start moves this figure by 0.2 um
-    np.testing.assert_allclose(
-        loose("cmac", dt=2e-5).report["tracking"].ate * UM, 39.2799, atol=0.5
-    )
+    np.testing.assert_allclose(loose(finely("cmac")).report.ate * UM, 39.2799, atol=0.5)
 
 
 def uniform_circle(params, time):
@@ -275,15 +326,22 @@ def uniform_circle(params, time):
     return 0.025 * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
+def sliding_motion(sample):
+    return sample.memory.surface, sample.output.velocity
+
+
 @functools.cache
 def ideal(switch):
-    case = js.build("sliding-circle")
+    case = build("sliding-circle", PUBLISHED)
     params = Layer(layer=jnp.ones(2)) if switch is implicit else ()
     loop = js.replace(
         case.loop,
         controller=per_axis(sliding(switch)),
         reference=analytic("uniform_circle", uniform_circle, 1e-4),
-        metric=together(windowed(together(following, effort()), 50_000, 100_000, "lap 2"), record),
+        metric=together(
+            windowed(together(following, effort()), 50_000, 100_000, "lap 2"),
+            tracing(sliding_motion),
+        ),
     )
     gains = js.replace(case.gains, switch=params)
     path = jnp.zeros(())
@@ -293,13 +351,13 @@ def ideal(switch):
 def test_ideal_sliding_mode_stays_in_its_layer():
     """|s| <= (eta_D + D) dt with sgn, about eta_D dt with the implicit switch."""
     step = 1e-4
-    plant = js.build("sliding-circle", SHORT).scenario.plant
+    plant = build("cmac-circle", SHORT).scenario.plant
     bound = np.asarray(plant.static / plant.mass)
     for switch, limit, observed in (
         (exact, (2 * bound + 0.01) * step, 0.01595),
         (implicit, (bound + 0.01) * step * 1.001, 0.00800),
     ):
-        s = np.abs(np.asarray(ideal(switch).rows["record"].memory.surface))
+        s = np.abs(ideal(switch).rows["tracing"][0])
         settled = s[50_000:].max(axis=0)
         assert (settled <= limit).all()
         np.testing.assert_allclose(settled[0], observed, atol=1e-5)
@@ -311,11 +369,11 @@ def test_ideal_sliding_mode_reaches_its_surface():
     Less what sampling costs: the law compensates B v at the start of the period, the table feels
     it at the end.
     """
-    plant = js.build("sliding-circle", SHORT).scenario.plant
+    plant = build("cmac-circle", SHORT).scenario.plant
     layer = np.asarray(2 * plant.static / plant.mass + 0.01) * 1e-4
-    rows = ideal(exact).rows["record"]
-    s = np.abs(np.asarray(rows.memory.surface))
-    change = np.abs(np.diff(np.asarray(rows.output.velocity), axis=0))
+    surface, velocity = ideal(exact).rows["tracing"]
+    s = np.abs(surface)
+    change = np.abs(np.diff(velocity, axis=0))
     sampling = np.asarray(plant.damping / plant.mass) * change * 1e-4
     outside = s[:-1] > layer
     assert outside[:, 1].any()
@@ -334,14 +392,16 @@ def test_ideal_sliding_mode_is_a_baseline():
 
 def test_cascade_is_better_than_the_published_laws():
     """An engineer asks for it first: with its feed-forward on it beats all of them."""
-    for c in ("circle", "heart"):
-        cascade = run(js.build(f"cascade-{c}")).report["contour"].contour_rms * UM
-        assert cascade < 0.2 * CONTOUR[c][3]
+    case, two = build("cascade-circle", PUBLISHED), ("circle", "heart")
+    report = side_by_side("cascade", PUBLISHED, scored(contour, case.window), two)().report
+    for rms, c in zip(report.contour_rms * UM, two, strict=True):
+        assert rms < 0.2 * CONTOUR[c][3]
 
 
 def test_the_standard_metrics_agree_with_the_named_ones():
-    case = js.build("dfcmac-heart", SHORT)
+    case = build("dfcmac-heart", SHORT)
     whole = run(case).report
     alone = run(js.with_metric(case, tracking)).report
     np.testing.assert_allclose(whole["tracking"].ate, alone.ate, rtol=1e-12)
-    assert set(whole) == set(run(js.with_metric(case, standard(law("dfcmac").surface))).report)
+    named = js.with_metric(case, standard(law("dfcmac").surface))
+    assert set(whole) == set(jax.eval_shape(lambda: run(named)).report)

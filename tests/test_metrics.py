@@ -43,7 +43,7 @@ def samples(error, command=None, velocity=None, distance=None, power=None, deman
         ),
         between=output,
         measurement=seen, memory=(), demand=command if demand is None else demand,
-        command=command, applied=command, load=zero, power=power or nothing,
+        command=command, applied=command, load=zero, power=power or nothing, storing=zero,
     )  # fmt: skip
     return jax.tree.map(jnp.asarray, sample)
 

@@ -30,8 +30,10 @@ from jaxstage.rollout import replay
 from jaxstage.sensors import Encoder, encoder, ideal_sensor, motor_side
 from jaxstage.signals import Output
 from jaxstage.studies.case import Timing, with_metric
+from jaxstage.studies.experiment import simulate_all
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.loops import build, law, oscillation, version
+from jaxstage.studies.mrac_asmc.traces import adaptive_law, gains_of, stepped
 
 T, S = values.DT, values.RATIO
 J, J1 = 3.362e-4, 2.85e-4
@@ -125,23 +127,49 @@ def test_not_adapting_it_is_the_sigmoid_law():
 def test_sampled_gain_and_its_note():
     assert sampled_gain(250.0, 230.0, 50.0, T) == pytest.approx(2.76 + 0.12)
     timing = Timing(lap_time=4.0, dt=T, duration=2 * T, scored=0)
-    (note,) = oscillation(build(law("asmc-mrac"), version(""), timing))
+    ends = lambda value: {"sampled_gain_end": {"x": value}}  # noqa: E731
+    (note,) = oscillation(build(law("asmc-mrac"), version(""), timing), ends(2.9))
     assert "2.88" in note and "1.695" in note and "1042 Hz" in note
-    assert oscillation(build(law("sim1"), version(""), timing)) == ()
-    assert oscillation(build(law("cascade"), version(""), timing)) == ()
+    assert oscillation(build(law("cascade"), version(""), timing), {}) == ()
     half = replace(timing, dt=T / 2, duration=T)
-    assert oscillation(build(law("asmc-mrac"), version(""), half)) == ()
+    assert oscillation(build(law("asmc-mrac"), version(""), half), ends(1.45)) == ()
 
 
 @pytest.mark.fast
-def test_the_sampled_limit_is_that_of_the_linear_loop():
-    """s[k+1] = s[k] - T eps J/J1 tanh(a s/2): it decays below 2 J1/J and oscillates above."""
-    for share, grows in ((0.9, False), (1.1, True)):
-        a = share * 2 * (2 * J1 / J - 250 * T) / (230 * T)
-        s = 1e-9
-        for _ in range(400):
-            s -= T * (230 * J / J1 * np.tanh(a * s / 2) + 250 * J / J1 * s)
-        assert (abs(s) > 1e-9) == grows
+def test_the_note_looks_at_the_end_of_the_run_too():
+    """The first simulation starts below the limit of 1.695; ten times that is run away."""
+    case = build(law("sim1"), version(""), Timing(lap_time=4.0, dt=T, duration=2 * T, scored=0))
+    for lost in ({}, {"sampled_gain_end": None}, {"sampled_gain_end": {"x": None}}):
+        assert oscillation(case, lost) == ()
+    assert oscillation(case, {"sampled_gain_end": {"x": 1.69}}) == ()
+    (note,) = oscillation(case, {"sampled_gain_end": {"x": 16.9}})
+    assert "0.0264 at the start and 16.9 at the end" in note
+    ended = {"sampled_gain_end": {"x": 17.0}, "sharpness_end_s_per_m": {"x": 2.55e7}}
+    _, away = oscillation(case, ended | {"drive_following_max_um": {"x": 488.0}})
+    assert "run away" in away and "a from 5e+03 to 2.55e+07 s/m" in away and "488 um" in away
+
+
+def test_the_sampled_limit_is_where_the_loop_begins_to_oscillate():
+    """A motor alone: e' moves by -T J/J1 (c e' + k s), k = eps a/2, and e by its mean, so that
+    (z - 1)^2 + g (z - 1) + h (z + 1) = 0, g = T (k + c) J/J1, h = T^2 k c/2 J/J1: z = -1 at g = 2,
+    which is 2 J1/J. 1 % below it the command decays, 1 % above it grows."""
+    limit, cases, factors = 2 * J1 / J, {}, {}
+    for name, share in (("below", 0.99), ("above", 1.01)):
+        a = 2 * (share * limit - 250 * T) / (230 * T)
+        assert sampled_gain(250.0, 230.0, a, T) == pytest.approx(share * limit)
+        case = stepped(adaptive_law(), gains_of(values.sigmoid(a)), version(""), 1e-13, 400 * T)
+        g, h = 2 * share, T**2 * 230 * a / 2 * 250 / 2 * J / J1
+        factors[name] = np.abs(np.roots([1, g + h - 2, 1 - g + h])).max()
+        plant = replace(
+            case.scenario.plant, stiffness=jnp.full(1, 1e-12), damping=jnp.zeros(1)
+        )  # the load hangs on nothing and rests
+        cases[name] = case._replace(scenario=replace(case.scenario, plant=plant))
+    for name, run in simulate_all(cases).items():
+        command = np.asarray(run.rows["command"])[100:, 0]
+        assert (command[1:] * command[:-1] < 0).all()
+        growth = abs(command[-1] / command[0]) ** (1 / (len(command) - 1))
+        assert growth == pytest.approx(factors[name], abs=1e-6)
+        assert (growth > 1) == (name == "above")
 
 
 # --- model-reference control -----------------------------------------------------------------

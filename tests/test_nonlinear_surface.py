@@ -113,6 +113,27 @@ def test_adaptive_gain_at_its_floor():
 
 
 @pytest.mark.fast
+def test_only_the_smooth_gain_has_a_gradient_by_eps():
+    params = on_device(
+        AdaptiveGain(start=80.0, rate=3e7, dead_zone=1.4e-5, floor=1.0, recovery=10.0, cap=100.0)
+    )
+
+    def after(law, surface, eps=1.4e-5):
+        return law.update(replace(params, dead_zone=eps), jnp.asarray(80.0), surface, DT)
+
+    slope = jax.grad(after, argnums=2)
+    floored, smooth_form = reaching.adaptive_floored, reaching.adaptive_smooth
+    assert slope(floored, 2e-5, 1.4e-5) == 0
+    got, h = slope(smooth_form, 2e-5, 1.4e-5), 1e-9
+    numeric = (after(smooth_form, 2e-5, 1.4e-5 + h) - after(smooth_form, 2e-5, 1.4e-5 - h)) / 2 / h
+    np.testing.assert_allclose(got, numeric, rtol=1e-6)
+    assert after(smooth_form, 1.4e-5) == 80.0
+    for far in (1e-8, 1e-3):
+        np.testing.assert_allclose(after(smooth_form, far), after(floored, far), rtol=1e-3)
+    assert slope(smooth_form, 0.0, 0.0) == 0
+
+
+@pytest.mark.fast
 def test_floored_gain_is_the_printed_one_above_the_floor():
     params = AdaptiveGain(
         start=80.0, rate=3e7, dead_zone=1.4e-5, floor=1.0, recovery=10.0, cap=100.0

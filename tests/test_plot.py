@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 import jaxstage as js
 from jaxstage import plot
 from jaxstage.fields import replace
-from jaxstage.metrics import record, together
+from jaxstage.metrics import contour, record, together, tracking, windowed
 from jaxstage.metrics.words import length_text, time_text
 from jaxstage.plot.contour import magnification
 from jaxstage.plot.numbers import envelope, pixels, round_down
@@ -28,7 +28,8 @@ KINDS = {
 
 def simulated(name, timing):
     case = js.build(name, timing)
-    run = js.with_metric(case, together(case.loop.metric, record)).simulate()
+    judged = windowed(together(tracking, contour), case.window.start, case.window.stop, "scored")
+    run = js.with_metric(case, together(judged, record)).simulate()
     flags = {name: int(getattr(run.final, name)) for name in ("left_path_at", "non_finite_at")}
     return case, run, {name: tick if tick >= 0 else None for name, tick in flags.items()}
 

@@ -1,9 +1,12 @@
 """The loop itself: replay, segments, resume, batches, lost runs, compilation, dead code."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from batteries import tracing
 
 import jaxstage as js
 from jaxstage import rollout
@@ -11,7 +14,8 @@ from jaxstage.controllers import cmac_sliding, gaussian, per_axis
 from jaxstage.metrics import record, standard, together, tracking
 from jaxstage.rollout import replay, simulate
 
-SHORT = js.Timing(lap_time=0.2, laps=1)
+#: two laps of 1000 ticks
+SHORT = js.Timing(lap_time=0.1, laps=2)
 
 
 def case(name="dfcmac-circle", metric=None, timing=SHORT, **changes):
@@ -43,48 +47,60 @@ def _plain(tree):
     )
 
 
+ONLINE = js.replace(standard(lambda memory: memory.surface), name="online")
+
+
+def observed():
+    """The loop that shows everything: all default metrics, and every tick."""
+    return case(metric=together(ONLINE, record))
+
+
+@functools.cache
+def whole():
+    return run(observed())
+
+
+def motion(sample):
+    return sample.step, sample.time, sample.output.position, sample.between.position
+
+
 @pytest.mark.fast
 def test_replay_equals_online():
-    metric = standard(lambda memory: memory.surface)
-    both = run(case(metric=together(js.replace(metric, name="online"), record)))
-    again, _ = replay(metric, both.rows["record"], 1e-4)
-    close(again, both.report["online"])
+    again, _ = jax.jit(lambda rows: replay(ONLINE, rows, 1e-4))(whole().rows["record"])
+    close(again, whole().report["online"])
 
 
 @pytest.mark.parametrize("segment", [1, 7, 100, 1999, 2000, 5000])
 def test_segments_equal_the_plain_scan(segment):
-    plain = run(case(metric=record))
-    parts = run(case(metric=record, segment=segment))
-    close(parts.rows.output.position, plain.rows.output.position)
-    assert parts.rows.step.shape == plain.rows.step.shape
-    np.testing.assert_array_equal(parts.rows.step, np.arange(2000))
+    step, _, position, _ = run(case(metric=tracing(motion), segment=segment)).rows
+    close(position, whole().rows["record"].output.position)
+    np.testing.assert_array_equal(step, np.arange(2000))
 
 
 @pytest.mark.fast
 def test_resumed_equals_whole():
-    c = case()
-    whole = run(c)
-    first = run(c, ticks=777)
-    second = run(c, ticks=2000 - 777, carry=first.final)
-    close(second.report, whole.report)
-    close(second.final.state, whole.final.state)
+    """Two halves, the first from an explicit start: the programs of the two are one."""
+    c = observed()
+    begin = jax.jit(rollout.start, static_argnums=0)(c.loop, c.gains, c.scenario, c.path)
+    first = run(c, ticks=1000, carry=begin)
+    second = run(c, ticks=1000, carry=first.final)
+    close(second.report, whole().report)
+    close(second.final.state, whole().final.state)
     assert int(second.final.step) == 2000
 
 
 def test_laps_repeat_the_path():
-    c = case(metric=record, timing=js.Timing(lap_time=0.2, laps=2))
-    rows = run(c).rows
-    np.testing.assert_array_equal(rows.setpoint.position[:2000], rows.setpoint.position[2000:])
+    position = whole().rows["record"].setpoint.position
+    np.testing.assert_array_equal(position[:1000], position[1000:])
 
 
 def test_substeps_do_not_move_the_samples():
-    one, four = (run(case(metric=record, substeps=n)).rows for n in (1, 4))
-    np.testing.assert_array_equal(one.time, four.time)
-    assert four.between.position.shape == (2000, 4, 2)
-    np.testing.assert_allclose(
-        four.between.position[:-1, -1], four.output.position[1:], rtol=0, atol=1e-15
-    )
-    np.testing.assert_allclose(one.output.position, four.output.position, atol=1e-4)
+    one = whole().rows["record"]
+    _, time, position, between = run(case(metric=tracing(motion), substeps=4)).rows
+    np.testing.assert_array_equal(one.time, time)
+    assert between.shape == (2000, 4, 2)
+    np.testing.assert_allclose(between[:-1, -1], position[1:], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(one.output.position, position, atol=1e-4)
 
 
 def counted(loop):
@@ -100,7 +116,7 @@ def counted(loop):
 
 
 def test_changed_numbers_do_not_retrace():
-    c = case()
+    c = case(metric=tracking)
     loop, calls = counted(c.loop)
 
     def go(gains, scenario):
@@ -119,53 +135,57 @@ def test_changed_numbers_do_not_retrace():
 
 
 def test_equal_definitions_share_one_compilation():
-    c = case()
-    run(c, ticks=40)
+    c = case(metric=tracking)
+    run(c)
     before = rollout._simulate._cache_size()
     again = js.build("dfcmac-circle", SHORT)
     law = per_axis(cmac_sliding(gaussian))
-    loop = js.replace(again.loop, metric=again.metric, controller=law)
+    assert js.replace(again.loop, metric=again.metric, controller=law) == case().loop
+    loop = js.replace(again.loop, metric=tracking, controller=law)
     assert loop == c.loop and hash(loop) == hash(c.loop)
-    simulate(loop, again.gains, again.scenario, again.path, 40)
+    simulate(loop, again.gains, again.scenario, again.path, 2000)
     assert rollout._simulate._cache_size() == before
+
+
+def with_gains(c, slope, rate):
+    return js.replace(c.gains, slope=jnp.stack([slope, slope]), rate=jnp.stack([rate, rate]))
+
+
+@jax.jit
+def four(slopes, rates):
+    """Four runs side by side."""
+    c = case(metric=tracking)
+    return jax.vmap(lambda *pair: run(c, gains=with_gains(c, *pair)))(slopes, rates)
+
+
+SLOPES = jnp.array([0.5, 1.0, 3.0, 40.0])
+#: the second of these leaves the path
+MIXED = jnp.array([10.0, 1e5, 20.0, 10.0])
 
 
 def test_a_batch_equals_one_at_a_time():
     c = case(metric=tracking)
-    slopes = jnp.array([0.5, 1.0, 3.0, 40.0])
-
-    def one(slope):
-        return run(c, gains=js.replace(c.gains, slope=jnp.stack([slope, slope]))).report
-
-    batch = jax.vmap(one)(slopes)
-    for i, slope in enumerate(slopes):
-        close(jax.tree.map(lambda x: x[i], batch), one(slope), rtol=1e-9)  # noqa: B023
-
-
-def rates(c, values):
-    """ATE and flags of runs with different learning rates; the largest one leaves the path."""
-
-    def one(rate):
-        final = run(c, gains=js.replace(c.gains, rate=jnp.stack([rate, rate])))
-        return final.report.ate, final.final.left_path_at
-
-    return jax.vmap(one)(jnp.asarray(values))
+    batch = four(SLOPES, 10 * jnp.ones(4)).report
+    for i, slope in enumerate(SLOPES):
+        one = run(c, gains=with_gains(c, slope, jnp.asarray(10.0))).report
+        close(jax.tree.map(lambda x: x[i], batch), one, rtol=1e-9)  # noqa: B023
 
 
 def test_a_lost_run_is_flagged_and_leaves_the_others_alone():
-    c = case(metric=tracking)
-    good, _ = rates(c, [10.0, 20.0])
-    mixed, left = rates(c, [10.0, 1e5, 20.0])
-    np.testing.assert_array_equal(mixed[np.array([0, 2])], good)
-    assert np.isnan(mixed[1])
-    assert left[1] > 0 and left[0] == left[2] == -1
+    good = four(jnp.ones(4), MIXED.at[1].set(10.0))
+    mixed = four(jnp.ones(4), MIXED)
+    kept = np.array([0, 2, 3])
+    np.testing.assert_array_equal(mixed.report.ate[kept], good.report.ate[kept])
+    assert np.isnan(mixed.report.ate[1])
+    left = mixed.final.left_path_at
+    assert left[1] > 0 and (left[kept] == -1).all()
 
 
 def test_a_lost_run_is_frozen_where_it_was_lost():
-    c = case(metric=record)
+    c = observed()
     lost = run(c, gains=js.replace(c.gains, rate=jnp.full(2, 1e5)))
     tick = int(lost.final.left_path_at)
-    rows = lost.rows
+    rows = lost.rows["record"]
     error = np.abs(rows.setpoint.position - rows.output.position).max(axis=1)
     assert (error[:tick] <= c.loop.path_limit).all()
     assert np.isnan(rows.output.position[tick:]).all()
@@ -195,29 +215,34 @@ def test_non_finite_is_flagged_and_its_gradient_is_clean():
         lost = rollout.lost(final.final)
         return jnp.where(lost, 0.0, final.report.ate), final.final
 
-    (_, final), reverse = jax.value_and_grad(loss, argnums=(0, 1), has_aux=True)(1.0, 10.0)
+    @jax.jit
+    def both(*x):
+        options = dict(argnums=(0, 1), has_aux=True)
+        reverse = jax.value_and_grad(loss, **options)(*x)
+        return reverse, jax.jacfwd(loss, **options)(*x)
+
+    ((_, final), reverse), (forward, _) = both(1.0, 10.0)
     assert final.non_finite_at > 0 and final.left_path_at == -1
     np.testing.assert_array_equal(reverse, 0.0)
-    forward, _ = jax.jacfwd(loss, argnums=(0, 1), has_aux=True)(1.0, 10.0)
     np.testing.assert_array_equal(forward, 0.0)
 
 
 def test_gradients_of_a_batch_with_a_lost_run_are_clean():
-    c = case(metric=tracking)
+    @jax.jit
+    @jax.grad
+    def slope_of(rates):
+        runs = four(jnp.ones(4), rates)
+        return jnp.sum(jnp.where(runs.final.left_path_at >= 0, 0.0, runs.report.ate))
 
-    def loss(values):
-        ate, left = rates(c, values)
-        return jnp.sum(jnp.where(left >= 0, 0.0, ate))
-
-    mixed = jax.grad(loss)(jnp.array([10.0, 1e5, 20.0]))
-    alone = jax.grad(loss)(jnp.array([10.0, 20.0]))
-    assert mixed[1] == 0
-    np.testing.assert_allclose(mixed[np.array([0, 2])], alone, rtol=1e-9)
+    mixed, alone = slope_of(MIXED), slope_of(MIXED.at[1].set(10.0))
+    assert mixed[1] == 0 and alone[1] != 0
+    kept = np.array([0, 2, 3])
+    np.testing.assert_allclose(mixed[kept], alone[kept], rtol=1e-9)
 
 
 def test_what_no_metric_reads_vanishes_from_the_compiled_loop():
     """The nearest point and the power ledger cost nothing unless a metric reads them."""
-    c = case(metric=tracking)
+    c = case("pi-circle", metric=tracking)
     zero = jnp.zeros(2)
     nothing = js.replace(
         c.loop,
@@ -258,5 +283,6 @@ def test_the_path_sets_the_precision():
     path = jax.tree.map(
         lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, built.path
     )
-    final = simulate(built.loop, built.gains, built.scenario, path, 100)
+    loop = js.replace(built.loop, metric=tracking)
+    final = simulate(loop, built.gains, built.scenario, path, 100)
     assert final.final.state.position.dtype == jnp.float32

@@ -108,7 +108,7 @@ def run(
     if out is not None:
         runs.check_folder(out)
     result = runs.execute(prepared, out)
-    _print_result(prepared.summary, result, as_json, out)
+    _print_result(prepared.entry.summary, result, as_json, out)
 
 
 @app.command()

@@ -102,7 +102,7 @@ def _draw_run(drawing: RunDrawing, folder: Path) -> list[Path]:
 
     case = drawing.case()
     run = with_metric(case, together(case.loop.metric, record)).simulate()
-    shown = plot.view(case, run.report["scored"], run.rows["record"])
+    shown = plot.view(case, run.report["scored"], run.rows["record"])._replace(name=drawing.text)
     files = []
     for name in drawing.views:
         file = folder / f"{drawing.name}-{name}.png"

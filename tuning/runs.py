@@ -11,13 +11,14 @@ import numpy as np
 
 from jaxstage import settings
 from jaxstage.check import check
+from jaxstage.controllers.fuzzy_rules import readable
 from jaxstage.fields import replace
 from jaxstage.metrics import record, together
 from jaxstage.signals import Run
 from jaxstage.studies import Case, Timing, all_studies, find, with_metric
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
-from jaxstage.studies.study import Recorded
-from tuning.results import summary, write_settings
+from jaxstage.studies.study import NamedLoop
+from tuning.results import summary, write_settings, write_text
 from tuning.scenario_file import plain_values, with_file_blocks
 
 #: settings that belong to the timing, with their types
@@ -28,13 +29,11 @@ TIMING = {
 
 
 class Prepared(NamedTuple):
-    """A case with all settings applied, what the user should know about it, and the figures that
-    are taken from its record."""
+    """A case with all settings applied, the loop it comes from, and what the user should know."""
 
     case: Case
-    summary: str
+    entry: NamedLoop
     notes: tuple[str, ...]
-    recorded: tuple[Recorded, ...]
 
 
 def refuse_rough(name: str) -> None:
@@ -77,29 +76,32 @@ def prepare(
     case, paths = _applied(case, values, tuple(TIMING))
     changed += paths
     check(case.loop, case.gains, case.scenario, case.path)
-    notes = (*_notes(published, case, changed), *entry.notes(case))
-    return Prepared(case, entry.summary, notes, entry.recorded)
+    return Prepared(case, entry, _notes(published, case, changed))
 
 
 def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
     """Simulate; with ``out``, write pictures and settings there. Returns the JSON object."""
     case = prepared.case
     metrics = (case.loop.metric, replace(case.metric, name="whole"), *((record,) if out else ()))
-    stored = (recorded.metric for recorded in prepared.recorded)
+    stored = (recorded.metric for recorded in prepared.entry.recorded)
     run = _with_recorded(prepared, with_metric(case, together(*metrics, *stored)).simulate())
     result = summary(case, run, prepared.notes)
+    result["notes"] += prepared.entry.notes(case, result["metrics"])
     if out is not None:
         from jaxstage.plot import pictures
 
         out.mkdir(parents=True, exist_ok=True)
         pictures(case, run.report["scored"], run.rows["record"], result, out)
         write_settings(out, case, result)
+        rules = readable(case.gains, run.final.memory)
+        if rules is not None:
+            write_text(out / "rules.txt", rules)
     return result
 
 
 def _with_recorded(prepared: Prepared, run: Run) -> Run:
     """The run with the figures of its record among those of the scored part and of the whole."""
-    if not prepared.recorded:
+    if not prepared.entry.recorded:
         return run
     window, dt, report = prepared.case.window, prepared.case.loop.dt, dict(run.report)
     for part, ticks in (("scored", slice(window.start, window.stop)), ("whole", slice(None))):
@@ -107,7 +109,7 @@ def _with_recorded(prepared: Prepared, run: Run) -> Run:
             recorded.metric.name: recorded.figures(
                 jax.tree.map(lambda row, t=ticks: row[t], run.rows[recorded.metric.name]), dt
             )
-            for recorded in prepared.recorded
+            for recorded in prepared.entry.recorded
         }
         report[part] = report[part] | figures
     return replace(run, report=report)

@@ -58,9 +58,10 @@ def _panel(ax: Axes, panel: Chart) -> None:
         ax.grid(False, axis="x")
     ax.set_title(panel.title, fontsize=NORMAL, loc="left")
     if len(panel.lines) > 1:
+        columns = 4 if len(panel.lines) > 4 else 2
         ax.legend(
-            loc="lower left", bbox_to_anchor=(0, 1.06), ncols=2, frameon=False, fontsize=SMALL,
-            borderaxespad=0,
+            loc="lower left", bbox_to_anchor=(0, 1.06), ncols=columns, frameon=False,
+            fontsize=SMALL, borderaxespad=0,
         )  # fmt: skip
     if panel.text:
         ax.text(

@@ -6,11 +6,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxstage.controllers.parts.fuzzy import (
-    LABELS,
     REACH,
     Sets,
     infer,
     membership,
+    set_names,
     strengths,
 )
 from jaxstage.plot.style import AXIS_COLOURS, LARGE, NORMAL, REFERENCE, SMALL, dress
@@ -30,8 +30,7 @@ def memberships(sets: Sets, name: str = "normalised input") -> Figure:
     ax = drawn.add_subplot()
     x = np.linspace(-REACH, REACH, 601)
     values = np.asarray(jax.vmap(lambda v: membership(sets, v))(jnp.asarray(x)))
-    for k, values_k in enumerate(values.T):
-        label = LABELS[k] if len(LABELS) == values.shape[1] else f"{k + 1}"
+    for k, (label, values_k) in enumerate(zip(set_names(values.shape[1]), values.T, strict=True)):
         colour = AXIS_COLOURS[k % len(AXIS_COLOURS)]
         ax.plot(x, values_k, color=colour, linewidth=1.8)
         ax.annotate(label, (float(np.asarray(sets.centres)[k]), 1.02), ha="center", color=colour)
@@ -42,7 +41,7 @@ def memberships(sets: Sets, name: str = "normalised input") -> Figure:
 
 def rule_surface(
     first: Sets, second: Sets, consequents: jax.Array, output: str,
-    inputs: tuple[str, str] = ("E", "E'"),
+    inputs: tuple[str, str] = ("X1", "X2"),
 ) -> Figure:  # fmt: skip
     """What the rules infer over both inputs, with the consequents written at their centres.
 

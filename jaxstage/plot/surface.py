@@ -51,8 +51,8 @@ def _plane(ax: Axes, view: View, axis: int, colour: str) -> None:
     factor, unit = length_unit(float(np.max(np.abs(error), initial=0.0)))
     shown = view.scored_text if view.lost is None else "until lost"
     ax.plot(error[kept] * factor, rate[kept] * 1e3, color=colour, linewidth=0.9, label=shown)
-    if view.slope is not None:
-        slope = float(np.broadcast_to(view.slope, (len(view.axes),))[axis])
+    slope = _constant_slope(view, axis)
+    if slope is not None:
         ends = np.array([error.min(), error.max()])
         ax.plot(
             ends * factor, -slope * ends * 1e3, color=REFERENCE, linestyle="--", linewidth=1.8,
@@ -61,6 +61,17 @@ def _plane(ax: Axes, view: View, axis: int, colour: str) -> None:
     legend(ax)
     name = view.axes[axis]
     dress(ax, f"{name} following error e in {unit}", f"{name} rate e' in mm/s")
+
+
+def _constant_slope(view: View, axis: int) -> float | None:
+    """c1 where the recorded surface is +-(c1 e + e') of the error shown, else None: a slope that
+    varies, or a law that acts on another side of the machine, has no line in this plane."""
+    if view.slope is None or view.surface is None:
+        return None
+    slope = float(np.broadcast_to(view.slope, (len(view.axes),))[axis])
+    made = np.abs(slope * view.error[:, axis] + view.rate[:, axis])
+    off = np.max(np.abs(made - np.abs(view.surface[:, axis])), initial=0.0)
+    return slope if off <= 1e-3 * np.max(made, initial=0.0) else None
 
 
 def _unit_range(values: np.ndarray) -> np.ndarray:

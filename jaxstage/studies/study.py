@@ -1,6 +1,6 @@
 """What a study is made of: a published system, its loops and what is claimed about them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from jaxstage.blocks import Metric
@@ -10,8 +10,8 @@ from jaxstage.studies.claim import Claim
 from jaxstage.studies.experiment import ChartDrawing, Experiment, RunDrawing
 
 
-def no_notes(case: Case) -> tuple[str, ...]:
-    """Nothing the user should know about the case."""
+def no_notes(case: Case, figures: Mapping[str, Any]) -> tuple[str, ...]:
+    """Nothing the user should know about the run."""
     return ()
 
 
@@ -29,14 +29,14 @@ class Recorded:
 @definition
 class NamedLoop:
     """An entry of a study: name, one line on it, how to build it, its own timing, what the user
-    should know about a case built from it (a limit that its gains pass, one line each), and the
-    figures of a single run beside those of its metric."""
+    should know about a run of it (a limit that its gains pass, one line each, from the case and
+    the scored columns), and the figures of a single run beside those of its metric."""
 
     name: str
     summary: str
     build: Callable[[Timing], Case]
     timing: Timing = Timing()
-    notes: Callable[[Case], tuple[str, ...]] = no_notes
+    notes: Callable[[Case, Mapping[str, Any]], tuple[str, ...]] = no_notes
     recorded: tuple[Recorded, ...] = ()
 
 

@@ -12,7 +12,6 @@ sets are lost with its figures and chosen here.
 """
 
 import math
-from collections.abc import Sequence
 from typing import cast
 
 import jax
@@ -95,28 +94,29 @@ def consequents(base: float, spread: float, table: str) -> Array:
     return cast(Array, base + spread * levels(table) / 3)
 
 
+def set_names(count: int) -> tuple[str, ...]:
+    """Names of ``count`` sets: those of seven, else numbers from 1."""
+    return LABELS if count == len(LABELS) else tuple(str(k + 1) for k in range(count))
+
+
 def rules_text(
-    values: Array | np.ndarray,
-    output: str,
-    inputs: tuple[str, str] = ("E", "E'"),
-    labels: Sequence[str] = LABELS,
+    values: Array | np.ndarray, output: str, inputs: tuple[str, str] = ("X1", "X2")
 ) -> str:
     """The rule base as people read it, one line a row of the first input.
 
-    values: consequents (sets, sets). output: name and unit, e.g. ``K_P in 1/s2``. Raises
-    ValueError where the labels do not fit.
+    values: consequents (sets of the first input, of the second). output: name and unit, e.g.
+    ``K_P in 1/s2``. inputs: names of the two.
     """
     table = np.asarray(values, float)
-    if table.shape != (len(labels), len(labels)):
-        raise ValueError(f"{len(labels)} labels do not fit rules of shape {table.shape}")
+    names, labels = map(set_names, table.shape)
     cells = [[f"{value:.4g}" for value in row] for row in table]
     wide = max(len(text) for text in [*labels, *(cell for row in cells for cell in row)])
     head = f"if {inputs[0]} is"
-    margin = max(len(head), *(len(label) for label in labels))
+    margin = max(len(head), *map(len, names))
     first = f"{output}: rows {inputs[0]}, columns {inputs[1]}"
     second = f"{head:<{margin}} | " + " ".join(f"{label:>{wide}}" for label in labels)
     body = [
-        f"{label:<{margin}} | " + " ".join(f"{cell:>{wide}}" for cell in row)
-        for label, row in zip(labels, cells, strict=True)
+        f"{name:<{margin}} | " + " ".join(f"{cell:>{wide}}" for cell in row)
+        for name, row in zip(names, cells, strict=True)
     ]
     return "\n".join([first, second, *body])

@@ -5,13 +5,16 @@
 | `fixed` | 0 | | `FixedGain` |
 | `adaptive` | a if K > alpha, else mu (14) | 0 .. K_max | `AdaptiveGain` |
 | `adaptive_floored` | a | alpha .. K_max | `AdaptiveGain` |
+| `adaptive_smooth` | kbar m (m^2 - eps^2) / (m^2 + eps^2) | alpha .. K_max | `AdaptiveGain` |
 | `integral` | rho s^2 | 0 .. K_max | `IntegralGain` |
 
 with a = kbar m sgn(m - eps), m the magnitude of s.
 
 Each is an explicit Euler step of one period, used from the next sample on. `adaptive` jumps between
 its branches, which ruins gradients; `adaptive_floored` keeps K at the floor instead and differs
-only there (mu has no effect).
+only there (mu has no effect). It still jumps at m = eps, so its gradient by eps is 0 although eps
+matters. `adaptive_smooth` (chosen) has tanh ln(m / eps) in place of sgn(m - eps): the same zero and
+the same limits far from it, without a jump, for tuning eps by gradients.
 
 K rises while |s| > eps and falls while |s| < eps. In a smooth loop |s| is about |d| / (J K), so K
 settles near |d| / (J eps), whatever its start, and rises above K(0) only if eps < |d| / (J K(0)).
@@ -26,7 +29,7 @@ from typing import Any
 from jax import Array
 
 from jaxstage.fields import definition, gain, pytree
-from jaxstage.numerics.smooth import beyond, switched, within
+from jaxstage.numerics.smooth import away_from_zero, beyond, magnitude, switched, within
 
 
 @definition
@@ -85,6 +88,13 @@ def _adaptive_floored(params: AdaptiveGain, value: Array, surface: Array, dt: fl
     return within(value + dt * change, params.floor, params.cap)
 
 
+def _adaptive_smooth(params: AdaptiveGain, value: Array, surface: Array, dt: float) -> Array:
+    here, turn = surface**2, params.dead_zone**2
+    share = (here - turn) / away_from_zero(here + turn, 1e-30)
+    change = params.rate * magnitude(surface) * share
+    return within(value + dt * change, params.floor, params.cap)
+
+
 def _integral(params: IntegralGain, value: Array, surface: Array, dt: float) -> Array:
     return within(value + dt * params.rate * surface**2, 0.0, params.cap)
 
@@ -97,6 +107,9 @@ adaptive = ReachingGain(name="adaptive", start=_start, update=_adaptive)
 
 #: Equation (14) without its second branch, continuous in K; params `AdaptiveGain`.
 adaptive_floored = ReachingGain(name="adaptive_floored", start=_start, update=_adaptive_floored)
+
+#: As `adaptive_floored`, continuous in s and eps too; params `AdaptiveGain`.
+adaptive_smooth = ReachingGain(name="adaptive_smooth", start=_start, update=_adaptive_smooth)
 
 #: Only ever rises; params `IntegralGain`.
 integral = ReachingGain(name="integral", start=_start, update=_integral)

@@ -1,7 +1,7 @@
 """What `jaxstage compare adaptive-smc` draws beside the verdicts, by the figures of the paper."""
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,27 +23,61 @@ TRIAL_NAMES = tuple(f"trial {seed + 1}" for seed in range(TRIALS))
 
 def _signals(
     evidence: Evidence, runs: dict[str, str], signal: str, axis: int, scale: float = 1.0,
-    begin: float = 0.0,
+    span: tuple[float, float] = (0.0, np.inf),
 ) -> tuple[Line, ...]:  # fmt: skip
-    """A stored signal of several runs, label -> run, from ``begin`` s on."""
+    """A stored signal of several runs, label -> run, in a span of time in s."""
     lines = []
     for label, run in runs.items():
         trace = evidence[f"{run}/trace"]
-        shown = trace["time"] >= begin
+        shown = (trace["time"] >= span[0]) & (trace["time"] <= span[1])
         lines.append(Line(label, trace["time"][shown], trace[signal][shown, axis] * scale))
     return tuple(lines)
 
 
-def _errors(
-    evidence: Evidence, runs: dict[str, str], title: str, begin: float = 0.0
+class _Signal(NamedTuple):
+    name: str
+    label: str
+    scale: float
+
+
+ERROR = _Signal("error", "following error in µm", 1e6)
+COMMAND = _Signal("command", "command in V", 1.0)
+#: close-up of chattering signals, s
+CLOSE = (5.0, 5.3)
+
+
+def _both_axes(
+    evidence: Evidence, runs: dict[str, str], title: str, signal: _Signal, begin: float = 0.0
 ) -> list[Chart]:
     return [
         Chart(
-            title=f"{title}, axis {axis + 1}", x="time in s", y="following error in µm",
-            lines=_signals(evidence, runs, "error", axis, 1e6, begin),
+            title=f"{title}, axis {axis + 1}", x="time in s", y=signal.label,
+            lines=_signals(evidence, runs, signal.name, axis, signal.scale, (begin, np.inf)),
         )
         for axis in (0, 1)
     ]  # fmt: skip
+
+
+def _difference(
+    evidence: Evidence, runs: dict[str, str], title: str, signal: _Signal, begin: float = 0.0
+) -> Chart:
+    """What the later runs differ by from the first, which they would hide."""
+    lines, base = [], next(iter(runs))
+    for axis in (0, 1):
+        first, *others = _signals(
+            evidence, runs, signal.name, axis, signal.scale, (begin, np.inf)
+        )  # fmt: skip
+        lines += [Line(f"{o.label}, axis {axis + 1}", o.x, o.y - first.y) for o in others]
+    return Chart(
+        title=f"{title}, less {base}", x="time in s", y=signal.label, lines=tuple(lines)
+    )  # fmt: skip
+
+
+def _close(evidence: Evidence, runs: dict[str, str], title: str, signal: _Signal) -> Chart:
+    lines = _signals(evidence, runs, signal.name, 0, signal.scale, CLOSE)
+    return Chart(
+        title=f"{title}, axis 1, close up", x="time in s", y=signal.label, lines=lines
+    )  # fmt: skip
 
 
 def _step(evidence: Evidence) -> tuple[Chart, ...]:
@@ -55,7 +89,10 @@ def _step(evidence: Evidence) -> tuple[Chart, ...]:
 
 def _figure4(evidence: Evidence) -> tuple[Chart, ...]:
     runs = {NAMES[name]: f"{name}-s1" for name in ("smc", "smc-star-star", "asmc")}
-    return tuple(_errors(evidence, runs, "from rest"))
+    return (
+        *_both_axes(evidence, runs, "from rest", ERROR),
+        _difference(evidence, runs, "from rest", ERROR),
+    )
 
 
 def _figure5(evidence: Evidence) -> tuple[Chart, ...]:
@@ -95,27 +132,15 @@ def _bars(
     return tuple(charts)
 
 
-def _trial_errors(laws: tuple[str, ...], evidence: Evidence) -> tuple[Chart, ...]:
-    return tuple(
-        chart
-        for regime in REGIMES
-        for chart in _errors(
-            evidence, {NAMES[a]: f"{a}-{regime}/trial-0" for a in laws}, MEANING[regime], 1.0
-        )
+def _trials(laws: tuple[str, ...], signal: _Signal, evidence: Evidence) -> tuple[Chart, ...]:
+    """A row of panels a regime: both axes, and what lines that cover each other hide."""
+    smooth, switching = ({NAMES[a]: f"{a}-{r}/trial-0" for a in laws} for r in REGIMES)
+    return (
+        *_both_axes(evidence, smooth, "smooth", signal, 1.0),
+        _difference(evidence, smooth, "smooth", signal, 1.0),
+        *_both_axes(evidence, switching, "switching", signal, 1.0),
+        _close(evidence, switching, "switching", signal),
     )
-
-
-def _trial_commands(laws: tuple[str, ...], evidence: Evidence) -> tuple[Chart, ...]:
-    return tuple(
-        Chart(
-            title=f"{MEANING[regime]}, axis 1", x="time in s", y="command in V",
-            lines=_signals(
-                evidence, {NAMES[a]: f"{a}-{regime}/trial-0" for a in laws}, "command", 0,
-                begin=1.0,
-            ),
-        )
-        for regime in REGIMES
-    )  # fmt: skip
 
 
 def _matched(evidence: Evidence) -> tuple[Chart, ...]:
@@ -206,14 +231,14 @@ drawings: tuple[ChartDrawing | RunDrawing, ...] = (
     ),
     _chart(
         "figure07-tracking", "Figure 7: following error", "First trial.",
-        partial(_trial_errors, BOTH),
+        partial(_trials, BOTH, ERROR),
     ),
     _chart(
         "figure08-max", "Figure 8: largest following error", "Five trials with noise.",
         partial(_bars, laws=BOTH, window="late", figure="following_max_um", unit="µm"),
     ),
     _chart(
-        "figure09-command", "Figure 9: command", "First trial.", partial(_trial_commands, BOTH)
+        "figure09-command", "Figure 9: command", "First trial.", partial(_trials, BOTH, COMMAND)
     ),
     _chart(
         "figure10-variance", "Figure 10: variance of the command", "Five trials with noise.",
@@ -225,11 +250,11 @@ drawings: tuple[ChartDrawing | RunDrawing, ...] = (
     ),
     _chart(
         "figure12-star-tracking", "Figure 12: following error with SMC*", "First trial.",
-        partial(_trial_errors, ("smc", "smc-star", "asmc")),
+        partial(_trials, ("smc", "smc-star", "asmc"), ERROR),
     ),
     _chart(
         "figure13-star-command", "Figure 13: command with SMC*", "First trial.",
-        partial(_trial_commands, STAR),
+        partial(_trials, STAR, COMMAND),
     ),
     _chart(
         "table3", "Table 3: simulated errors",

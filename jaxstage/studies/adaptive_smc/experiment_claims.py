@@ -42,7 +42,7 @@ def experiment() -> list[Claim]:
     """Tables 4 and 5, their arithmetic, and the five trials."""
     claims = [
         unchecked(
-            f"table4-{name}-{cell.replace('_', '-')}", "Table 4", f"{label}: {meaning}",
+            f"table4-{name}-{cell.replace('_', '-')}", "Table 4", f"{label}, measured: {meaning}",
             TABLE4[name][cell], "um", FIELD,
         )
         for name, label in LAWS.items()
@@ -148,30 +148,32 @@ def _trials() -> list[Claim]:
         claims += [
             claim(
                 f"figure06-energy-{short}", "Figure 6, abstract",
-                "ASMC saves this share of the energy, mean of five trials",
+                f"{short}: ASMC saves this share of the energy, mean of five trials",
                 saved("whole", "energy_J"), at_least(TEXT["energy_reduction"] / 2),
                 f"{reason}; holds if half the published share is saved", TEXT["energy_reduction"],
             ),
             claim(
                 f"figure08-max-{short}", "Figure 8, abstract",
-                "ASMC lowers the largest error by this share, mean of five trials",
+                f"{short}: ASMC lowers the largest error by this share, mean of five trials",
                 saved("late", "following_max_um"), at_least(TEXT["max_reduction"] / 2), reason,
                 TEXT["max_reduction"],
             ),
             claim(
                 f"figure10-variance-{short}", "Figure 10, abstract",
-                "ASMC lowers the variance of the command by this share, mean of five trials",
+                f"{short}: ASMC lowers the variance of the command by this share, mean of five "
+                "trials",
                 saved("late", "command_variance_V2"), at_least(TEXT["variance_reduction"] / 2),
                 reason, TEXT["variance_reduction"],
             ),
             claim(
                 f"figure09-smoother-{short}", "Figure 9",
-                "the command of ASMC chatters saving: variance above 20 Hz, share saved",
+                f"{short}: the command of ASMC chatters less: share of the variance above 20 Hz "
+                "saved",
                 saved("late", "command_high_variance_V2"), at_least(0.0), reason,
             ),
             claim(
                 f"figure12-star-accuracy-{short}", "Figure 12",
-                "SMC* tracks as well as ASMC (ratio of mean errors)",
+                f"{short}: SMC* tracks as well as ASMC (ratio of mean errors)",
                 lambda e, star=star, asmc=asmc: ratio(
                     trial_mean(e, star, "late", "following_mean_um"),
                     trial_mean(e, asmc, "late", "following_mean_um"),
@@ -180,7 +182,7 @@ def _trials() -> list[Claim]:
             ),
             claim(
                 f"figure11-star-energy-{short}", "Figure 11",
-                "SMC* draws this share more than SMC, mean of five trials",
+                f"{short}: SMC* draws this share more than SMC, mean of five trials",
                 lambda e, star=star, smc=smc: rise(
                     trial_mean(e, star, "whole", "energy_J"),
                     trial_mean(e, smc, "whole", "energy_J"),
@@ -222,7 +224,7 @@ def same_accuracy() -> list[Claim]:
         claims.append(
             claim(
                 f"matched-energy-{short}", "Section IV.C",
-                "SMC tuned to the mean error of ASMC by its slope draws this share more",
+                f"{short}: SMC tuned to the mean error of ASMC by its slope draws this share more",
                 cost, within(0.25), f"{meaning}; slope found, not 80 1/s",
                 TEXT["smc_star_energy_mWh"] / TABLE5["energy_asmc_mWh"] - 1,
             )

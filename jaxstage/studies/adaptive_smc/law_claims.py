@@ -31,11 +31,11 @@ def surface() -> list[Claim]:
     claims = [
         claim(
             f"surface-energy-{regime}-{slope}", "Section I, of [31]",
-            f"the nonlinear surface saves energy against a linear one of {slope} 1/s",
+            f"{short}: the nonlinear surface saves energy against a linear one of {slope} 1/s",
             _saved(f"smc-{regime}", f"smc-{regime}/linear-{slope}"), at_least(saving / 2),
             f"{meaning}; holds if half the cited share is saved", saving,
         )
-        for regime, meaning in (("s1", SMOOTH), ("s7", SWITCHED))
+        for regime, short, meaning in (("s1", "smooth", SMOOTH), ("s7", "switching", SWITCHED))
         for slope in (40, 58)
     ]  # fmt: skip
     return [
@@ -139,7 +139,8 @@ def switching() -> list[Claim]:
         ),
         claim(
             "gain-adequate", "Section III.B",
-            "the adaptation keeps an adequate gain where it saves energy: mean gain over K(0)",
+            "switching: the adaptation keeps an adequate gain where it saves energy: mean gain "
+            "over K(0)",
             lambda e: ratio(
                 total(e, "asmc-s7", "reaching_gain_mean_1_per_s"),
                 total(e, "smc-s7", "reaching_gain_mean_1_per_s"),

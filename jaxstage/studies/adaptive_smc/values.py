@@ -14,6 +14,7 @@ from jax import Array
 from jaxstage.controllers import NonlinearSurface, RigidAxis
 from jaxstage.controllers.parts.damping import BoundedDamping
 from jaxstage.controllers.parts.reaching import AdaptiveGain, FixedGain, IntegralGain
+from jaxstage.drives import CurrentDrive
 from jaxstage.fields import replace
 from jaxstage.plants import CreepingFriction, Motor, ScrewTable
 from jaxstage.references import Trifolium, make_trifolium
@@ -185,7 +186,8 @@ def scenario(table: ScrewTable, sensor: Any = (), start_speed: float = 0.0) -> S
         plant=table,
         load=(),
         sensor=sensor,
-        drive=(),
+        # chosen: the paper tells of neither limit, dead time nor lag
+        drive=CurrentDrive(limit=_xy(np.inf), delay=_scalar(0.0), lag=_scalar(0.0)),
         start=Start(offset=_xy(0.0), velocity=_xy(start_speed)),
         key=jax.random.key(0),
     )

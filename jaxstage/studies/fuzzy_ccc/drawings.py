@@ -2,29 +2,75 @@
 
 from functools import partial
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.controllers.parts.fuzzy import HALF_CROSSING, LABELS, REACH
+from jaxstage.controllers.parts.fuzzy import (
+    REACH,
+    Sets,
+    infer,
+    membership,
+    set_names,
+    strengths,
+)
 from jaxstage.fields import replace
 from jaxstage.studies.case import Timing
 from jaxstage.studies.claim import Evidence
 from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
 from jaxstage.studies.fuzzy_ccc import values
 from jaxstage.studies.fuzzy_ccc.claims import BLIND, OBSERVED, TABLE4, TABLE5
-from jaxstage.studies.fuzzy_ccc.experiments import RATES
 from jaxstage.studies.fuzzy_ccc.loops import TIMING, build, law
+from jaxstage.studies.fuzzy_ccc.variants import LEAK, MASS_ERROR, PROPORTIONAL, RATES
 
 AXES = ("x", "y", "z")
 
 
+def _sets() -> dict[str, Sets]:
+    """The sets of both inputs, from the gains of the adaptive loop."""
+    extra = build(law("af-pid-ccc"), "af-pid-ccc", TIMING).gains.extra
+    return {"X1, contour error": extra.error_sets, "X2, its rate": extra.rate_sets}
+
+
 def _memberships(evidence: Evidence) -> tuple[Chart, ...]:
     x = np.linspace(-REACH, REACH, 601)
-    centres = np.arange(-3.0, 4.0)
-    lines = tuple(
-        Line(label, x, np.exp(-(((x - centre) / HALF_CROSSING) ** 2)))
-        for label, centre in zip(LABELS, centres, strict=True)
-    )
-    return (Chart(title="both inputs", x="normalised input", y="membership", lines=lines),)
+    charts = []
+    for name, sets in _sets().items():
+        degrees = np.asarray(jax.vmap(partial(membership, sets))(jnp.asarray(x))).T
+        lines = tuple(
+            Line(label, x, y) for label, y in zip(set_names(len(degrees)), degrees, strict=True)
+        )
+        charts.append(Chart(title=name, x="normalised input", y="membership", lines=lines))
+    return tuple(charts)
+
+
+RULES = {"proportional": "K_P in 1/s2", "integral": "K_I in 1/s3", "derivative": "K_D in 1/s"}
+
+
+def _rules(evidence: Evidence) -> tuple[Chart, ...]:
+    """What the rules infer at the centre of each row that a magnitude E >= 0 meets."""
+    first, second = _sets().values()
+    x = jnp.linspace(-REACH, REACH, 241)
+    met = [k for k, centre in enumerate(np.asarray(first.centres)) if centre <= 0]
+    labels = set_names(len(first.centres))
+
+    def inferred(consequents: jax.Array, row: int) -> jax.Array:
+        return jax.vmap(
+            lambda rate: infer(consequents, strengths(first, second, first.centres[row], rate))
+        )(x)
+
+    return tuple(
+        Chart(
+            title=f"{name} {when} learning", x="X2, normalised rate", y=name,
+            lines=tuple(
+                Line(f"X1 = {labels[row]}", np.asarray(x), np.asarray(inferred(table, row)))
+                for row in met
+            ),
+        )
+        for when, rules in evidence["af-pid-ccc/rules"].items()
+        for field, name in RULES.items()
+        for table in [jnp.asarray(getattr(rules, field))]
+    )  # fmt: skip
 
 
 #: a look at single switchings, in s
@@ -122,8 +168,55 @@ def _causes(evidence: Evidence) -> tuple[Chart, ...]:
         Chart(
             title="contour error RMS", x="", y="µm", bars=True,
             lines=(Line("RMS", tuple(cases), rms),),
-            text="frozen: rules that do not learn; × 2, 4, 8: learning rates; mean: PID with "
+            text="frozen: rules that do not learn; ×: learning rates; mean: PID with "
             "constant gains at the mean of the adapted ones",
+        ),
+    )  # fmt: skip
+
+
+def _variants(evidence: Evidence) -> tuple[Chart, ...]:
+    def bars(
+        title: str, *lines: tuple[str, dict[str, str]], text: str = "", log: bool = False
+    ) -> Chart:
+        drawn = tuple(
+            Line(label, tuple(cases), [evidence[case]["contour_rms_um"] for case in cases.values()])
+            for label, cases in lines
+        )
+        return Chart(title=title, x="", y="µm", bars=True, log_y=log, lines=drawn, text=text)
+
+    def starts(name: str) -> dict[str, str]:
+        return {"as it is": name, "wrong masses": f"{name}/mass", "from rest": f"{name}/rest"}
+
+    return (
+        bars(
+            "masses in the laws and start",
+            ("no coupling", starts("none")), ("PID", starts("pid-ccc")),
+            ("adaptive fuzzy PID", starts("af-pid-ccc")),
+        ),
+        bars(
+            "observer and form of the contour error",
+            ("RMS", {
+                "none": "none", "no observer": "none/blind", "PID": "pid-ccc",
+                "PID, scalar": "pid-ccc/scalar", "fuzzy": "af-pid-ccc",
+                "fuzzy, scalar": "af-pid-ccc/scalar",
+            }),
+            text="no observer: no coupling either, and five times the switching gain",
+            log=True,
+        ),
+        bars(
+            "PID coupling",
+            ("RMS", {
+                "as it is": "pid-ccc", "K_I = 0": "pid-ccc/no-integral",
+                **{f"K_P = {gain:g}": f"pid-ccc/K_P-{gain:g}" for gain in PROPORTIONAL},
+            }),
+        ),
+        bars(
+            "adaptive fuzzy PID coupling",
+            ("RMS", {
+                "as it is": "af-pid-ccc", "frozen": "fuzzy-frozen", "leak": "af-pid-ccc/leak",
+                **{f"× {factor:g}": f"af-pid-ccc/rates-{factor:g}" for factor in RATES},
+            }),
+            text=f"leak: {LEAK:g} 1/s; ×: learning rates",
         ),
     )  # fmt: skip
 
@@ -145,6 +238,12 @@ drawings: tuple[ChartDrawing | RunDrawing, ...] = (
     ChartDrawing(
         name="figure03-membership", title="Figure 3: membership functions", charts=_memberships,
         text="Seven Gaussian sets whose neighbours cross at one half; number and shape are chosen.",
+    ),
+    ChartDrawing(
+        name="table1-rules", title="Table 1: the rules before and after learning", charts=_rules,
+        text="Contour gain over the rate, one line for each row of the table at its centre: "
+        "X1 = 3 tanh(-E / eps_sc) with E >= 0, so only the rows NB to ZO are met. The published "
+        "rules are lost; the classical ones stand in.",
     ),
     ChartDrawing(
         name="figure05-control", title="Figure 5: control without observer",
@@ -177,5 +276,10 @@ drawings: tuple[ChartDrawing | RunDrawing, ...] = (
         name="causes", title="What the improvement rests on", charts=_causes,
         text="Faster learning raises the gains and lowers the error; constant gains of the same "
         "level do as well.",
+    ),
+    ChartDrawing(
+        name="variants", title="Contour error RMS with other numbers", charts=_variants,
+        text=f"Wrong masses: assumed {', '.join(map(str, MASS_ERROR))} times the true ones; from "
+        "rest: on the path.",
     ),
 )  # fmt: skip

@@ -1,5 +1,6 @@
 """What is simulated to judge the claims of the fuzzy cross-coupling paper."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -36,10 +37,16 @@ from jaxstage.studies.fuzzy_ccc.loops import (
     law,
     observing,
 )
+from jaxstage.studies.fuzzy_ccc.variants import (
+    blind,
+    coupled_to,
+    of_adaptive,
+    of_none,
+    of_pid,
+    scalar_forms,
+)
 from jaxstage.studies.machines import other_machine
 
-#: learning rates tried, as multiples of the study's
-RATES = (2.0, 4.0, 8.0)
 #: machines drawn for the parameter uncertainty
 DRAWS = 16
 #: switching gain without and with observer, m/s2 (chosen); 2.5 is above every |d|, 0.25 below
@@ -53,18 +60,6 @@ LIGHT = together(following, contour)
 def _light(case: Case, metric: Metric = LIGHT) -> Case:
     """The case with the few figures that claims are judged on."""
     return with_metric(case, scored(metric, case.window))
-
-
-def coupled_to(case: Case, **changes: Any) -> Case:
-    """The case with other gains of its contour law."""
-    return case._replace(gains=replace(case.gains, extra=replace(case.gains.extra, **changes)))
-
-
-def _learning(case: Case, factor: float) -> Case:
-    a = case.gains.extra.adaptation
-    rates = ("proportional_rate", "integral_rate", "derivative_rate")
-    faster = {name: factor * getattr(a, name) for name in rates}
-    return coupled_to(case, adaptation=replace(a, **faster))
 
 
 def _matched(case: Case) -> Case:
@@ -85,26 +80,46 @@ def _machines(name: str, case: Case) -> dict[str, Case]:
     }
 
 
+def _figures(cases: Mapping[str, Case], runs: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of runs, and ``lost_at_s``."""
+    found = {}
+    for name, run in runs.items():
+        loop = cases[name].loop
+        ticks = [int(t) for t in (run.final.left_path_at, run.final.non_finite_at) if t >= 0]
+        lost = {"lost_at_s": min(ticks) * loop.dt if ticks else None}
+        found[name] = columns(run.report, loop.plant) | lost
+    return found
+
+
 def couplings() -> Evidence:
-    """The laws with and without cross-coupling, other rates, other machines."""
+    """The laws with and without cross-coupling, other numbers, other machines; the rules of the
+    adaptive one before and after."""
     case = {name: build(law(name), name, TIMING) for name in ("none", "pid-ccc", "af-pid-ccc")}
     schedule = law("af-pid-ccc").schedule
     assert schedule is not None
     metric = together(following, contour, tangent_contour, contour_gains(schedule))
     adaptive = _light(case["af-pid-ccc"], metric)
     none, pid = _light(case["none"]), _light(case["pid-ccc"])
-    found = measure(
-        {"af-pid-ccc": adaptive, "fuzzy-frozen": _learning(adaptive, 0.0)}
-        | {f"af-pid-ccc/rates-{factor:g}": _learning(adaptive, factor) for factor in RATES}
+    cases = (
+        {"af-pid-ccc": adaptive}
+        | of_adaptive(adaptive)
         | _machines("af-pid-ccc", adaptive)
         | {"none": none, "none/matched": _matched(none)}
+        | of_none(none)
+        | {name: _light(one) for name, one in scalar_forms().items()}
     )
+    runs = simulate_all(cases)
+    found = _figures(cases, runs)
+    learned = runs["af-pid-ccc"].final.memory.extra.learned
+    found["af-pid-ccc/rules"] = {"before": adaptive.gains.extra.rules, "after": learned}
     means = {
         f"{name}_gain": jnp.asarray(found["af-pid-ccc"][f"contour_{name}_mean_1_per_{unit}"])
         for name, unit in (("proportional", "s2"), ("integral", "s3"), ("derivative", "s"))
     }
     return found | measure(
-        {"pid-ccc": pid, "pid-ccc/mean-gains": coupled_to(pid, **means)} | _machines("pid-ccc", pid)
+        {"pid-ccc": pid, "pid-ccc/mean-gains": coupled_to(pid, **means)}
+        | of_pid(pid)
+        | _machines("pid-ccc", pid)
     )
 
 
@@ -128,8 +143,7 @@ def sign_gains(eta: float, observer: bool = True) -> Any:
     """Gains of sliding mode with the sign, and observer; without it its gain is next to 0."""
     axis = values.nominal()
     found = values.observed(values.sliding_gains(axis, eta, switch=()), axis)
-    blind = replace(found.extra, disturbance_gain=np.full(3, 1e-30))
-    return found if observer else replace(found, extra=blind)
+    return found if observer else blind(found)
 
 
 def _signals(sample: Sample) -> dict[str, Array]:
@@ -165,9 +179,7 @@ def switching() -> Evidence:
         for name, how in SIGNS.items()
     }
     runs = simulate_all(cases)
-    plant = cases["small gain, observer"].loop.plant
-    found: dict[str, Any] = {name: columns(run.report, plant) for name, run in runs.items()}
-    found |= {
+    found = _figures(cases, runs) | {
         f"{name}/signals": jax.tree.map(np.asarray, run.rows["signals"])
         for name, run in runs.items()
     }
@@ -195,7 +207,7 @@ def estimate_error(evidence: Evidence) -> list[float]:
 experiments: tuple[Experiment, ...] = (
     Experiment(
         name="coupling",
-        text=f"with and without cross-coupling, other learning rates, {DRAWS} other machines",
+        text=f"with and without cross-coupling, other numbers, {DRAWS} other machines",
         measure=couplings,
     ),
     Experiment(name="pd", text="PD with and without the observer", measure=axis_laws),

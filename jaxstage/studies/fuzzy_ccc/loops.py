@@ -1,7 +1,7 @@
 """The loops of the fuzzy cross-coupling study: five laws on the helix."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -191,7 +191,9 @@ def left_over(gains: Any, scenario: Scenario) -> np.ndarray:
     return np.abs(np.asarray(load.amplitude) / mass * p * (p + k2) / (p**2 + k2 * p + k1))
 
 
-def _reaching(pick: Callable[[Any], Any], case: Case) -> tuple[str, ...]:
+def _reaching(
+    pick: Callable[[Any], Any], case: Case, figures: Mapping[str, Any]
+) -> tuple[str, ...]:
     """Says where the switching gain is below what the observer leaves of the load."""
     observed = pick(case.gains)
     rest = left_over(observed.extra, case.scenario)

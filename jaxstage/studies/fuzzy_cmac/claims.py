@@ -50,8 +50,8 @@ def _structure() -> list[Claim]:
             "V' <= -(eta + |omega|)|s|: the switching gain outweighs the unknown; largest dry "
             "friction F_s/M, which u_D cannot know before a reversal",
             lambda e: unknown, at_most(eta),
-            "published values alone; (27) gives V' <= -(eta - |omega|)|s|, so (28) has the sign "
-            "of |omega| wrong and needs eta > |omega|", eta, "m/s2",
+            "published values, unit of eta chosen; (27) gives V' <= -(eta - |omega|)|s|, so (28) "
+            "has the sign of |omega| wrong and needs eta > |omega|", eta, "m/s2",
         ),
         unchecked(
             "equation2", "Equation (2)", "viscous coefficient K_v of the friction", None, "N s/m",
@@ -97,7 +97,7 @@ def _paths() -> list[Claim]:
                 lambda e, c=contour: ratio(
                     cell("dfcmac", "ate", c)(e), cell("dfcmac", "ate", c, "first lap")(e)
                 ),
-                at_most(1.0), "published values; the lap time drops out of the ratio",
+                at_most(1.0), LAP_TIME,
             )
         )  # fmt: skip
     claims += [
@@ -138,7 +138,7 @@ def _sliding() -> list[Claim]:
             "s s' = -eta |s|: |s| falls in every control period (share of periods, circle, worst "
             "axis)",
             lambda e: min(e[after]["reaching_share"].values(), default=None), at_least(0.99),
-            "published values alone",
+            f"{LAP_TIME}; static friction holds |s| up at every reversal",
         ),
         claim(
             "chattering-sliding", "Conclusions",
@@ -187,8 +187,9 @@ def _robustness() -> list[Claim]:
         ),
         claim(
             "robust-coupling", "Abstract, conclusions",
-            "robust to cross-coupling (ATE with 0.1 N s/m between the axes over nominal, circle)",
-            _rise("coupling"), at_most(1 + RISE), "as large as the published damping; chosen",
+            "robust to cross-coupling (ATE with 3.2 N s/m between the axes over nominal, circle)",
+            _rise("coupling"), at_most(1 + RISE),
+            "0.1 N at the speed of the circle, as large as the published load; chosen",
         ),
         claim(
             "robust-better", "Abstract",

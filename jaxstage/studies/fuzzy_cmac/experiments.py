@@ -24,8 +24,9 @@ USUAL = Timing()
 DRAWS = 16
 #: load in N at 5 Hz on each axis, as large as the published constant load (chosen)
 LOAD_AMPLITUDE, LOAD_FREQUENCY = 0.1, 2 * np.pi * 5
-#: force on an axis per velocity of the other, as large as the published damping (chosen)
-COUPLING = 0.1
+#: force on an axis per velocity of the other: at the speed of the circle, 31 mm/s, the published
+#: load of 0.1 N; of opposite sign in x and y, so that it does no work of its own (chosen)
+COUPLING = 3.2
 TABLE_LAWS = ("cmac", "dfcmac")
 #: credits of the conventional CMAC: as published (equation (9)), as the fuzzy one, and of (22)
 CREDITS = {"": 0.25, "-equal-rate": 0.4421, "-full-credit": 1.0}
@@ -65,7 +66,7 @@ def _disturbed(case: Case, amplitude: float, coupling: float) -> Case:
             amplitude=jnp.full(2, amplitude), frequency=jnp.full(2, LOAD_FREQUENCY),
             phase=jnp.array([0.0, np.pi / 2]), bias=jnp.zeros(2),
         ),
-        CouplingLoad(coupling=jnp.array([[0.0, coupling], [coupling, 0.0]])),
+        CouplingLoad(coupling=jnp.array([[0.0, coupling], [-coupling, 0.0]])),
     )  # fmt: skip
     loop = replace(case.loop, load=all_loads(sine_load, coupling_load))
     return _light(case._replace(loop=loop, scenario=replace(case.scenario, load=load)))

@@ -13,6 +13,7 @@ from jaxstage.studies.case import Case
 from jaxstage.studies.claim import Evidence
 from jaxstage.studies.experiment import Experiment, simulate_all
 from jaxstage.studies.mrac_asmc import values
+from jaxstage.studies.mrac_asmc.contouring import circles
 from jaxstage.studies.mrac_asmc.loops import TIMING, version
 from jaxstage.studies.mrac_asmc.traces import (
     CASCADE,
@@ -74,6 +75,16 @@ def ideal_adaptive() -> tuple[dict[str, Case], dict[str, float]]:
         for name, time in periods.items()
     }
     return cases, periods
+
+
+def ideal_implicit() -> dict[str, Case]:
+    """The implicit switch of one layer in the place of the sigmoid of ``sigmoid-mrac``."""
+    fixed = values.sigmoid()
+    law = replace(
+        values.sliding_mode(0, Layer(layer=values.value(1))),
+        slope=fixed.slope, switching_gain=fixed.switching_gain,
+    )  # fmt: skip
+    return {"implicit-mrac": traced(switched_law(implicit), gains_of(law, True), IDEAL)}
 
 
 def ideal_cascade() -> tuple[dict[str, Case], dict[str, float]]:
@@ -202,6 +213,7 @@ def _experiment(name: str, text: str, cases: Any) -> Experiment:
 experiments: tuple[Experiment, ...] = (
     _experiment("ideal-adaptive", "adaptive sliding mode, ideal measurement", ideal_adaptive),
     _experiment("ideal-cascade", "PID with rate feed-forward, ideal measurement", ideal_cascade),
+    _experiment("ideal-implicit", "implicit switching, ideal measurement", ideal_implicit),
     _experiment("printed-sign", "adaptive laws with the printed sign", printed_sign),
     _experiment("rough-switched", "sliding mode, scenario R", rough_switched),
     _experiment("rough-implicit", "implicit switching, scenario R", rough_implicit),
@@ -210,4 +222,5 @@ experiments: tuple[Experiment, ...] = (
     _experiment("motor-switched", "sliding mode, friction on the motor", motor_switched),
     _experiment("motor-adaptive", "adaptive sliding mode, friction on the motor", motor_adaptive),
     Experiment(name="steps", text="steps of 0.5 mm", measure=steps),
+    Experiment(name="xy", text="circle of two axes, ideal measurement", measure=circles),
 )

@@ -5,7 +5,7 @@ Each law runs on four versions of the drive: friction on the load or on the moto
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -44,6 +44,10 @@ from jaxstage.studies.study import NamedLoop, Recorded, Spread
 
 #: following error beyond which a run counts as lost: five strokes (chosen)
 PATH_LIMIT = 0.01
+#: the adaptation counts as run away beyond so many times the limit of the sampled loop (chosen)
+RUNAWAY = 10.0
+#: the one axis
+AXIS = "x"
 
 TIMING = Timing(
     lap_time=values.PERIOD, dt=values.DT, substeps=values.SUBSTEPS, duration=values.DURATION,
@@ -155,7 +159,7 @@ def version(suffix: str) -> Version:
 def make_loop(controller: Controller, version: Version, metric: Metric, timing: Timing) -> Loop:
     """The drive under a law for one axis, or a composition of such laws, to and fro."""
     return Loop(
-        plant=two_inertia(("x",), version.side),
+        plant=two_inertia((AXIS,), version.side),
         controller=controller,
         reference=swinging(timing.dt),
         load=no_load,
@@ -187,21 +191,45 @@ def build(law: Law, version: Version, timing: Timing) -> Case:
     )
 
 
-def oscillation(case: Case) -> tuple[str, ...]:
-    """Whether the switch is too stiff for the control period, at the gains of the start."""
+def oscillation(case: Case, figures: Mapping[str, Any]) -> tuple[str, ...]:
+    """Whether the switch is too stiff for the control period, at the start or the end of a run, and
+    whether the law has run away. figures: of the run's end; None where it was lost."""
     gains = case.gains.law if isinstance(case.gains, ModelReference) else case.gains
     if not isinstance(gains, AdaptiveSliding):
         return ()
     plant, dt = case.scenario.plant, case.loop.dt
-    stiff = float(sampled_gain(gains.slope, gains.switching_gain, gains.sharpness, dt)[0])
-    share = plant.motor_inertia / (plant.motor_inertia + plant.load_inertia)
-    limit = float(2 * share[0])
-    if stiff <= limit:
-        return ()
-    return (
-        f"eps a T/2 + c T = {stiff:.3g} at the start, above 2 J_1/J = {limit:.4g}: the command "
-        f"oscillates at half the sampling rate, {0.5 / dt:.4g} Hz",
-    )
+    start = float(sampled_gain(gains.slope, gains.switching_gain, gains.sharpness, dt)[0])
+    end = _of_the_axis(figures, "sampled_gain_end")
+    limit = float((2 * plant.motor_inertia / (plant.motor_inertia + plant.load_inertia))[0])
+    found = []
+    if max(start, end or 0.0) > limit:
+        at_the_end = "" if end is None else f" and {end:.3g} at the end"
+        found.append(
+            f"eps a T/2 + c T = {start:.3g} at the start{at_the_end}; above 2 J_1/J = {limit:.4g} "
+            f"the command oscillates at half the sampling rate, {0.5 / dt:.4g} Hz"
+        )
+    if end is not None and end > RUNAWAY * limit:
+        found.append(_run_away(gains, figures))
+    return tuple(found)
+
+
+def _of_the_axis(figures: Mapping[str, Any], key: str) -> float | None:
+    return (figures.get(key) or {}).get(AXIS)
+
+
+def _run_away(gains: AdaptiveSliding, figures: Mapping[str, Any]) -> str:
+    parts = []
+    for name, key, unit, start in (
+        ("c", "surface_slope_end_1_per_s", "1/s", gains.slope),
+        ("eps", "switching_gain_end_m_per_s2", "m/s2", gains.switching_gain),
+        ("a", "sharpness_end_s_per_m", "s/m", gains.sharpness),
+    ):
+        end = _of_the_axis(figures, key)
+        if end is not None:
+            parts.append(f"{name} from {float(start[0]):.3g} to {end:.3g} {unit}")
+    error = _of_the_axis(figures, "drive_following_max_um")
+    largest = "" if error is None else f"; largest error of the drive {error:.3g} um"
+    return f"the adaptation has run away: {', '.join(parts)}{largest}; caps on c and a prevent it"
 
 
 loops: tuple[NamedLoop, ...] = tuple(

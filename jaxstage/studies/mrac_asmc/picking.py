@@ -22,6 +22,12 @@ SELECTED = (
     "scenario R (chosen): filter picked so that the variance of SMC is near the printed one, MRAC "
     "gains partly by their result in it"
 )
+#: what every claim on the capped law rests on
+CAPS = (
+    "c <= 300 and a <= 60 are caps (chosen), without which the law runs away on a quantised "
+    "velocity"
+)
+CAPPED = f"{CAPS}; {SELECTED}"
 OURS = "the paper's MRAC law is not printed; ours is another one"
 ALONE = "follows from published values alone"
 PRINTED_PAIR = "arithmetic of printed figures"
