@@ -44,6 +44,8 @@ from jaxstage.studies.adaptive_smc.loops import (
 )
 from jaxstage.studies.experiment import simulate_all
 
+pytestmark = pytest.mark.long
+
 COLUMNS = (
     "max1 max2 mean1 mean2 maxall2 maxfine1 cont_max cont_mean var1 var2 hf1 tv1 E_net E_clip "
     "E_cu kmean1 kmean2"

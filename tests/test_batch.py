@@ -17,6 +17,8 @@ from jaxstage.batch import rollouts
 from jaxstage.metrics import record, standard, tracking
 from jaxstage.references import circle, heart, nurbs_lap, star
 
+pytestmark = pytest.mark.long
+
 LANES = 11
 TIMING = js.Timing(lap_time=0.1, laps=1)
 

@@ -32,6 +32,8 @@ from jaxstage.references import (
 )
 from jaxstage.references.nurbs import degree
 
+pytestmark = pytest.mark.long
+
 CURVES = {f.__name__: f for f in (circle, bowknot, heart, star)}
 NM = 1e-9
 

@@ -15,6 +15,8 @@ from jaxstage.numerics.smooth import exact
 from jaxstage.rollout import _simulate, simulate
 from jaxstage.studies.fuzzy_cmac.loops import dfcmac_gains, pi_gains, scenario
 
+pytestmark = pytest.mark.long
+
 every_law = pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.name)
 types = pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64], ids=["f32", "f64"])
 

@@ -12,6 +12,8 @@ from jaxstage.fields import replace
 from jaxstage.numerics.smooth import smooth
 from jaxstage.studies.fuzzy_ccc import values
 
+pytestmark = pytest.mark.long
+
 BENCH = Continuous(sliding(smooth))
 PARAMETERS = ("K_P0", "K_D0", "c of x", "eta", "k1", "assumed mass of x")
 #: J in um2, and dJ/d ln(parameter) by central differences of an independent model

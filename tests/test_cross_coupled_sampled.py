@@ -21,6 +21,8 @@ from jaxstage.rollout import simulate
 from jaxstage.studies.fuzzy_ccc import values
 from jaxstage.studies.fuzzy_ccc.loops import TIMING, Law, build, coupling, observing
 
+pytestmark = pytest.mark.long
+
 
 def loop(dt, switch=smooth, contour_law=None, metric=None, **changes):
     """The loop of the study; without a contour law: that of the adaptive coupling."""

@@ -40,6 +40,8 @@ from jaxstage.studies.fuzzy_ccc.loops import TIMING, build, law
 from jaxstage.studies.fuzzy_ccc.variants import of_adaptive, of_none, of_pid
 from tuning import cli
 
+pytestmark = pytest.mark.long
+
 SHORT = replace(TIMING, duration=0.2, dt=1e-3)
 
 

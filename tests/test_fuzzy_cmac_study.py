@@ -25,6 +25,8 @@ from jaxstage.references import analytic
 from jaxstage.rollout import simulate
 from jaxstage.studies.fuzzy_cmac.loops import LAWS
 
+pytestmark = pytest.mark.long
+
 DIGIT = 5e-5  # um: every printed digit
 UM = 1e6
 CONTOURS = ("circle", "bowknot", "heart", "star")

@@ -25,6 +25,8 @@ from jaxstage.numerics.smooth import SmoothWidth, creeping, smooth
 from jaxstage.plants import pmsm_table
 from jaxstage.sensors import Encoder, encoder
 
+pytestmark = pytest.mark.long
+
 GAINS = ("c1", "r1", "sigma", "m", "eta")
 ALL = (*GAINS, "gains.weights")
 #: the weights are 0

@@ -35,6 +35,8 @@ from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.loops import build, law, oscillation, version
 from jaxstage.studies.mrac_asmc.traces import adaptive_law, gains_of, stepped
 
+pytestmark = pytest.mark.long
+
 T, S = values.DT, values.RATIO
 J, J1 = 3.362e-4, 2.85e-4
 

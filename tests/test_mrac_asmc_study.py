@@ -42,6 +42,8 @@ from jaxstage.studies.mrac_asmc.traces import (
     traced,
 )
 
+pytestmark = pytest.mark.long
+
 SMOOTH = 1e-4
 #: SIM2 and the adaptive law without MRAC
 SHIFTED = 5e-3

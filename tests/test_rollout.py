@@ -14,6 +14,8 @@ from jaxstage.controllers import cmac_sliding, gaussian, per_axis
 from jaxstage.metrics import record, standard, together, tracking
 from jaxstage.rollout import replay, simulate
 
+pytestmark = pytest.mark.long
+
 #: two laps of 1000 ticks
 SHORT = js.Timing(lap_time=0.1, laps=2)
 

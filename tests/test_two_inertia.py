@@ -39,6 +39,8 @@ from jaxstage.studies.case import Timing
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.loops import build, law, version
 
+pytestmark = pytest.mark.long
+
 T = values.DT
 PARAMS = jax.tree.map(jnp.asarray, values.plant())
 SIDES = pytest.mark.parametrize("side", [on_load, on_motor], ids=lambda side: side.name)
