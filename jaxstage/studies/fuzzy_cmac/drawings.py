@@ -106,7 +106,8 @@ drawings: tuple[ChartDrawing | RunDrawing, ...] = (
     ),
     *(
         RunDrawing(
-            name=f"figure{number:02d}-{contour}", text=f"Figure {number}: {contour}, DFCMAC, first lap",
+            name=f"figure{number:02d}-{contour}",
+            text=f"Figure {number}: {contour}, DFCMAC, first lap",
             case=partial(build, law("dfcmac"), contour, Timing(laps=1)),
             views=("axes", "contour", "weights"),
         )
