@@ -1,1 +1,1 @@
-"""Tools around the simulator: the command line. Imports jaxstage, never the reverse."""
+"""Tools around the simulator: command line, sweeps. Imports jaxstage, never the reverse."""

@@ -1,4 +1,4 @@
-"""The command line: ``jaxstage list``, ``run``, ``compare``, ``precision``, ``doctor``."""
+"""The command line: ``jaxstage list``, ``run``, ``compare``, ``sweep``, ``replay``, ..."""
 
 import json
 import os
@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
+
+from tuning.sweeps import cli as sweep_cli
 
 app = typer.Typer(
     add_completion=False,
@@ -187,6 +189,10 @@ def precision(
     for name in loops or loop_names():
         table = {k: float(f"{v:.2e}") for k, v in compare_precision(build(name)).items()}
         print(tomli_w.dumps({name: table}), flush=True)
+
+
+app.command()(sweep_cli.sweep)
+app.command()(sweep_cli.replay)
 
 
 def _print_result(title: str, result: dict[str, Any], as_json: bool, out: Path | None) -> None:

@@ -18,6 +18,7 @@ pictures   all that apply to a run, as PNG files
 VIEWS      the pictures of one run by name
 chart      panels of lines or bars computed from a study's evidence
 claims     published figure, ours and verdict of all claims of a study
+sweep      a module of its own: distributions, parameters, effects of a Monte-Carlo sweep
 memberships, rule_surface   the sets and the rules of a fuzzy system
 
 The only part of the library that imports matplotlib; it uses no global figure or style.

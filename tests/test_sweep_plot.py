@@ -1,0 +1,111 @@
+"""Pictures of a sweep show what the table says."""
+
+import numpy as np
+import pytest
+
+from jaxstage.plot import sweep
+
+SHEET = sweep.Sheet("contour max (µm)", 20.0, "64 plants | seed 0")
+SOURCE = np.random.default_rng(0)
+VALUES = SOURCE.uniform(5, 25, 400)
+VALUES[:7] = np.nan
+PASSED = VALUES < 20
+ONE = sweep.Sample("pi-circle", VALUES, PASSED, "yield 74 %", (0.74, 0.7, 0.78))
+OTHER = sweep.Sample("cascade-circle", VALUES[::-1] + 1, VALUES[::-1] + 1 < 20)
+
+pytestmark = pytest.mark.fast
+
+
+def words(figure):
+    found = [text.get_text() for text in figure.texts]
+    for ax in figure.axes:
+        found += [ax.get_xlabel(), ax.get_ylabel(), ax.get_title("right")]
+        found += [text.get_text() for text in ax.texts]
+        legend = ax.get_legend()
+        found += [text.get_text() for text in legend.get_texts()] if legend else []
+    return " ".join(" ".join(found).split())
+
+
+def test_the_distribution_has_limit_interval_and_lost_runs():
+    drawn = sweep.distribution([ONE, OTHER], SHEET)
+    told = words(drawn)
+    for text in (
+        "limit 20",
+        "contour max (µm)",
+        "yield 74 %",
+        "7 lost",
+        "64 plants",
+        "share of plants",
+    ):
+        assert text in told, text
+    often, share = drawn.axes
+    for ax in (often, share):
+        assert any(np.all(np.asarray(line.get_xdata()) == 20.0) for line in ax.lines)
+    curve = next(line for line in share.lines if "pi-circle" in str(line.get_label()))
+    assert curve.get_ydata()[-1] == pytest.approx(393 / 400), "lost runs never come in"
+    at = np.searchsorted(curve.get_xdata(), 20.0) - 1
+    assert curve.get_ydata()[at] == pytest.approx(PASSED.sum() / 400)
+    (bar,) = share.containers
+    assert bar.lines[0].get_ydata()[0] == 0.74
+
+
+def test_a_sweep_that_is_all_lost_can_be_drawn():
+    lost = sweep.Sample("pi-circle", np.full(9, np.nan), np.zeros(9, bool))
+    assert "all runs were lost" in words(sweep.distribution([lost], SHEET))
+    columns = {"plant.mass x (kg)": SOURCE.random(9)}
+    sweep.parameters(lost, columns, {"plant.mass x (kg)": None}, SHEET)
+    sweep.versus(lost, lost, "words", SHEET)
+
+
+def test_failing_and_lost_plants_are_marked():
+    names = ["plant.mass x (kg)", "plant.load x (N)"]
+    columns = {name: SOURCE.random(400) for name in names}
+    drawn = sweep.parameters(ONE, columns, dict(zip(names, (0.1, -0.6), strict=True)), SHEET)
+    first = drawn.axes[0]
+    assert first.get_xlabel() == "plant.load x (N)", "the strongest first"
+    assert first.get_title("right") == "rho -0.60"
+    marks = {
+        line.get_marker(): len(line.get_xdata())
+        for line in first.lines
+        if line.get_marker() != "None"
+    }
+    failed = int((~PASSED & np.isfinite(VALUES)).sum())
+    assert marks == {".": int(PASSED.sum()), "x": failed, "v": 7}
+    far = sweep.parameters(ONE, columns, {}, SHEET._replace(limit=500.0))
+    assert "The limit of 500 is off the scale" in words(far)
+    assert max(ax.get_ylim()[1] for ax in far.axes) < 40
+
+
+def test_a_tornado_starts_at_the_nominal_plant():
+    effects = [
+        sweep.Effect("plant.mass x", 8.0, 14.0, (9.0, 13.0)),
+        sweep.Effect("plant.load x", 12.0, 9.0),
+    ]
+    drawn = sweep.tornado("pi-circle", 10.0, effects, SHEET)
+    (ax,) = drawn.axes
+    ends = sorted((bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches)
+    assert {x for pair in ends for x in pair} == {8.0, 9.0, 10.0, 12.0, 14.0}
+    assert "nominal plant: 10" in words(drawn)
+    diamonds = [line.get_xdata()[0] for line in ax.lines if line.get_marker() == "D"]
+    assert diamonds == [9.0, 13.0]
+
+
+def test_indices_are_ordered_by_their_total():
+    found = [sweep.Index("a", 0.1, 0.02, 0.2, 0.03), sweep.Index("b", 0.3, 0.02, 0.7, 0.05)]
+    (ax,) = sweep.indices("pi-circle", found, SHEET).axes
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["b", "a"]
+    assert sorted(bar.get_width() for bar in ax.patches) == [0.1, 0.2, 0.3, 0.7]
+
+
+def test_one_controller_against_another():
+    drawn = sweep.versus(ONE, OTHER, "Each dot is one plant.", SHEET)
+    told = words(drawn)
+    both = np.isfinite(ONE.values) & np.isfinite(OTHER.values)
+    smaller = int((ONE.values[both] < OTHER.values[both]).sum())
+    for text in (
+        f"pi-circle smaller: {smaller} plants",
+        f"cascade-circle smaller: {int(both.sum()) - smaller} plants",
+        f"lost under one or both: {400 - int(both.sum())} plants",
+        "Each dot is one plant.",
+    ):
+        assert text in told, text

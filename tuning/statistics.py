@@ -1,0 +1,187 @@
+"""What a sweep shows, and how surely: yield, quantiles, worst share, paired comparison.
+
+Every figure comes with a 95 % interval; where the runs are too few for a claim, it says so.
+Figures are errors: smaller is better. A lost run has no figure and counts as worse than all.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+CONFIDENCE = 0.95
+RESAMPLES = 999
+#: a quantile or a worst share needs so many runs beyond it
+TAIL_OF_QUANTILE, TAIL_OF_CVAR = 10, 50
+_NUMBERS_AT_ONCE = 4_000_000
+
+
+class Interval(NamedTuple):
+    """An estimate and its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Share(NamedTuple):
+    """A share of runs with its exact (Clopper-Pearson) interval."""
+
+    count: int
+    of: int
+    value: float
+    low: float
+    high: float
+
+
+def share(count: int, of: int, confidence: float = CONFIDENCE) -> Share:
+    """count of ``of`` runs; the interval covers the true probability at least so often."""
+    if of < 1:
+        return Share(0, 0, math.nan, 0.0, 1.0)
+    found = stats.binomtest(count, of).proportion_ci(confidence, method="exact")
+    return Share(count, of, count / of, float(found.low), float(found.high))
+
+
+class Claim(NamedTuple):
+    """Whether a share of at least ``target`` is shown, refuted, or open. needed: runs that would
+    decide it if the share stays as it is, None where no number would."""
+
+    target: float
+    verdict: str
+    needed: int | None
+
+
+SHOWN, REFUTED, OPEN = "shown", "refuted", "not enough samples"
+
+
+def claim(found: Share, target: float, confidence: float = CONFIDENCE) -> Claim:
+    """Judge the claim that the true share is at least ``target``, in (0, 1)."""
+    if not 0 < target < 1:
+        raise ValueError(f"--target {target:g}: must be > 0 and < 1")
+    if found.low >= target:
+        return Claim(target, SHOWN, None)
+    if found.high < target:
+        return Claim(target, REFUTED, None)
+    return Claim(target, OPEN, _needed(found, target, confidence))
+
+
+def _needed(found: Share, target: float, confidence: float) -> int | None:
+    """The fewest runs, by doubling and halving, that decide at the share that was found."""
+    if not found.of:
+        return None
+
+    def decided(runs: int) -> bool:
+        later = share(round(found.value * runs), runs, confidence)
+        return later.low >= target or later.high < target
+
+    high = found.of
+    while not decided(high):
+        high *= 2
+        if high > 10**9:
+            return None
+    low = high // 2
+    while high - low > max(1, high // 100):
+        middle = (low + high) // 2
+        low, high = (low, middle) if decided(middle) else (middle, high)
+    return high
+
+
+def percentile(level: float) -> Callable[..., np.ndarray]:
+    """The statistic: that percentile along an axis, one of the values."""
+
+    def statistic(x: np.ndarray, axis: int = -1) -> np.ndarray:
+        return np.percentile(x, level, axis=axis, method="higher")
+
+    return statistic
+
+
+def worst_mean(x: np.ndarray, axis: int = -1, level: float = 0.95) -> np.ndarray:
+    """Conditional value at risk: the mean of the worst 5 %."""
+    x = np.moveaxis(x, axis, -1)
+    kept = math.ceil(round((1 - level) * x.shape[-1], 9))
+    return np.mean(np.partition(x, x.shape[-1] - kept, axis=-1)[..., -kept:], axis=-1)
+
+
+def bootstrap(
+    values: np.ndarray, statistic: Callable[..., np.ndarray], seed: int = 0,
+    confidence: float = CONFIDENCE,
+) -> Interval:  # fmt: skip
+    """A statistic of values (n,) with its percentile bootstrap interval."""
+    found = stats.bootstrap(
+        (values,), statistic, n_resamples=RESAMPLES, vectorized=True, axis=-1, method="percentile",
+        confidence_level=confidence, batch=max(1, _NUMBERS_AT_ONCE // len(values)),
+        rng=np.random.default_rng(seed),
+    ).confidence_interval  # fmt: skip
+    return Interval(float(statistic(values)), float(found.low), float(found.high))
+
+
+class Figures(NamedTuple):
+    """Statistics of one figure. An entry is None where it cannot be said; ``reasons`` says why.
+
+    mean: of the runs that were not lost. p50, p95: lost runs count as worst. cvar95: mean of the
+    worst 5 %.
+    """
+
+    mean: Interval | None
+    p50: Interval | None
+    p95: Interval | None
+    cvar95: Interval | None
+    reasons: dict[str, str]
+
+
+def figures(values: np.ndarray) -> Figures:
+    """Statistics of a figure, (n,), NaN where a run was lost."""
+    ranked = np.where(np.isnan(values), np.inf, values)
+    complete = values[np.isfinite(values)]
+    lost, runs = len(values) - len(complete), len(values)
+    reasons: dict[str, str] = {}
+
+    def refused(name: str, tail: float, least: int) -> bool:
+        if lost >= tail * runs:
+            reasons[name] = f"{lost} of {runs} runs have no figure"
+        elif tail * runs < least:
+            reasons[name] = f"not enough samples: needs {math.ceil(round(least / tail, 6))} runs"
+        return name in reasons
+
+    mean = None
+    if len(complete) < 2:
+        reasons["mean"] = f"{len(complete)} of {runs} runs have a figure"
+    else:
+        mean = bootstrap(complete, np.mean)
+    p50 = None if refused("p50", 0.5, TAIL_OF_QUANTILE) else _ranked(ranked, 50)
+    p95 = None if refused("p95", 0.05, TAIL_OF_QUANTILE) else _ranked(ranked, 95)
+    if lost:
+        reasons["cvar95"] = f"{lost} of {runs} runs, the worst, have no figure"
+    none = lost or refused("cvar95", 0.05, TAIL_OF_CVAR)
+    cvar95 = None if none else bootstrap(values, worst_mean)
+    return Figures(mean, p50, p95, cvar95, reasons)
+
+
+def _ranked(ranked: np.ndarray, level: float) -> Interval:
+    """A percentile of values that may be infinite: what lies above all finite ones is."""
+    largest = np.max(ranked[np.isfinite(ranked)])
+    found = bootstrap(np.minimum(ranked, largest + 1), percentile(level))
+    return Interval(*(math.inf if x > largest else x for x in found))
+
+
+class Comparison(NamedTuple):
+    """Two controllers on the same plants. difference: of their figures, first minus second, mean
+    over the plants that both survived. better: share of plants on which the first has the smaller
+    figure, a lost run losing to any other; plants on which both are lost count for neither."""
+
+    first: str
+    second: str
+    plants: int
+    difference: Interval | None
+    better: Share
+
+
+def paired(first: str, a: np.ndarray, second: str, b: np.ndarray) -> Comparison:
+    """Compare two figures run by run, (n,) each, NaN where lost."""
+    both = np.isfinite(a) & np.isfinite(b)
+    gap = (a - b)[both]
+    better = int(np.sum(np.where(np.isnan(a), np.inf, a) < np.where(np.isnan(b), np.inf, b)))
+    difference = bootstrap(gap, np.mean) if len(gap) > 1 else None
+    return Comparison(first, second, len(a), difference, share(better, len(a)))

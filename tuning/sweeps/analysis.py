@@ -1,0 +1,227 @@
+"""What a finished (or stopped) sweep says: yield, statistics, comparisons, sensitivities."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import pyarrow as pa
+
+from jaxstage.settings import nearest_name
+from tuning.designs import DESIGNS
+from tuning.specification import Specification, parse
+from tuning.statistics import (
+    Claim,
+    Comparison,
+    Figures,
+    Share,
+    claim,
+    figures,
+    paired,
+    share,
+)
+from tuning.sweeps import store
+from tuning.sweeps.configuration import Plan
+from tuning.sweeps.rows import FLAGS, figure_names
+from tuning.sweeps.sensitivity import (
+    Indices,
+    Tornado,
+    at_the_ends,
+    names_of,
+    rank_correlation,
+    sobol_indices,
+    tornado,
+)
+
+#: what a sweep is judged by if nothing is asked: the first that its loops have
+FIGURES = ("contour_max_um", "tracking_max_um", "following_max_x_um")
+#: rows of the list of worst runs
+WORST = 10
+
+
+class Question(NamedTuple):
+    """What is asked of a sweep. metric: a column; target: the yield that is claimed."""
+
+    spec: str | None = None
+    metric: str | None = None
+    target: float | None = None
+    tornado: bool = False
+
+
+class LoopResult(NamedTuple):
+    """One loop. columns: all that was asked about, (runs,). passed: where a specification is
+    given. sampled: the rows that are a sample of the spreads, on which shares and statistics rest.
+    ends: column of a parameter -> median figure where it is lowest and where it is highest.
+    """
+
+    name: str
+    columns: dict[str, np.ndarray]
+    passed: np.ndarray | None
+    sampled: np.ndarray
+    lost: int
+    met: Share | None
+    claim: Claim | None
+    figures: Figures | None
+    correlations: dict[str, float | None]
+    indices: Indices | None
+    tornado: Tornado | None
+    ends: dict[str, tuple[float, float] | None]
+
+
+class Analysis(NamedTuple):
+    """Answers about a sweep. metric: the figure that was judged."""
+
+    plan: Plan
+    metric: str
+    spec: Specification | None
+    loops: tuple[LoopResult, ...]
+    comparisons: tuple[Comparison, ...]
+    notes: tuple[str, ...]
+
+
+def usable_columns(plan: Plan) -> dict[str, type]:
+    """Columns of numbers and conditions that the rows of every loop have: name -> float or bool.
+
+    Known before anything has run.
+    """
+    kinds: list[dict[str, type]] = []
+    for case, space in zip(plan.cases, plan.spaces, strict=True):
+        parameters = dict.fromkeys((c for item in space.uncertain for c in item.columns), float)
+        flags = dict.fromkeys(FLAGS, float) | {"finite": bool}
+        kinds.append({"run": float} | parameters | dict.fromkeys(figure_names(case), float) | flags)
+    return {name: kind for name, kind in kinds[0].items() if all(name in k for k in kinds)}
+
+
+def choose_metric(columns: Mapping[str, type], spec: Specification | None, name: str | None) -> str:
+    """The figure to judge: as asked, or the first that the specification limits, or a usual one.
+
+    Raises ValueError for an unknown one.
+    """
+    if name is not None:
+        if columns.get(name) is not float:
+            raise ValueError(f"--metric {name}{nearest_name(name, columns)}: no such figure")
+        return name
+    limited = list(spec.limits) if spec else []
+    usual = [n for n in FIGURES if n in columns]
+    for found in (*limited, *usual, *(n for n in columns if n.endswith("_um"))):
+        return found
+    raise ValueError("--metric: name the figure to judge")
+
+
+def understood(plan: Plan, question: Question) -> tuple[Specification | None, str]:
+    """The specification and the figure to judge. Raises ValueError in one line."""
+    kinds = usable_columns(plan)
+    spec = parse(question.spec, kinds) if question.spec else None
+    if question.target is not None:
+        if spec is None:
+            raise ValueError(f"--target {question.target:g} needs a --spec")
+        claim(share(0, 1), question.target)
+    return spec, choose_metric(kinds, spec, question.metric)
+
+
+def analyse(folder: Path, plan: Plan, question: Question) -> Analysis:
+    """Answer a question about a finished sweep. Raises ValueError in one line."""
+    spec, metric = understood(plan, question)
+    todo = store.missing(folder, plan)
+    if todo:
+        raise ValueError(f"{folder}: {len(todo)} chunks are missing, sweep with --resume goes on")
+    parameters = [c for item in plan.spaces[0].uncertain for c in item.columns]
+    wanted = dict.fromkeys([metric, *parameters, *(spec.names if spec else ()), "finite"])
+    table = store.read(folder, plan, list(wanted))
+    runs = plan.table["runs"]
+    loops = []
+    for loop in range(len(plan.cases)):
+        mine = table.slice(loop * runs, runs)
+        columns = {name: mine[name].to_numpy() for name in wanted}
+        loops.append(_loop_result(plan, loop, columns, metric, spec, question))
+    pairs = [(a, b) for i, a in enumerate(loops) for b in loops[i + 1 :]]
+    comparisons = [_compare(a, b, metric, parameters) for a, b in pairs]
+    kept = tuple(c for c in comparisons if c is not None)
+    return Analysis(plan, metric, spec, tuple(loops), kept, _notes(plan, len(kept) < len(pairs)))
+
+
+def _loop_result(
+    plan: Plan, loop: int, columns: dict[str, np.ndarray], metric: str,
+    spec: Specification | None, question: Question,
+) -> LoopResult:  # fmt: skip
+    space, design = plan.spaces[loop], DESIGNS[plan.table["design"]]
+    values = columns[metric]
+    passed = spec.passes(columns) if spec else None
+    sampled = np.zeros(len(values), bool)
+    if design.sample is not None:
+        sampled[:: design.sample(space.dimensions())] = True
+    met = None
+    if passed is not None and sampled.any():
+        met = share(int(passed[sampled].sum()), int(sampled.sum()))
+    judged = claim(met, question.target) if met and question.target is not None else None
+    return LoopResult(
+        name=plan.table["loop"][loop]["name"],
+        columns=columns,
+        passed=passed,
+        sampled=sampled,
+        lost=int((~columns["finite"]).sum()),
+        met=met,
+        claim=judged,
+        figures=figures(values[sampled]) if sampled.any() else None,
+        correlations={
+            column: rank_correlation(columns[column], values)
+            for item in space.uncertain
+            for column in item.numbers()
+        },
+        indices=sobol_indices(names_of(space), values) if design.name == "saltelli" else None,
+        tornado=_tornado(plan, loop, metric) if question.tornado else None,
+        ends={
+            column: at_the_ends(columns[column][sampled], values[sampled])
+            for item in space.uncertain
+            for column in item.numbers()
+        },
+    )
+
+
+def _tornado(plan: Plan, loop: int, metric: str) -> Tornado:
+    with jax.enable_x64(plan.table["precision"] == "double"):
+        return tornado(plan.cases[loop], plan.spaces[loop], metric)
+
+
+def _compare(a: LoopResult, b: LoopResult, metric: str, parameters: list[str]) -> Comparison | None:
+    """None where the loops did not meet the same plants, or no rows are a sample."""
+    same = all(np.array_equal(a.columns[name], b.columns[name]) for name in parameters)
+    if not same or not a.sampled.any():
+        return None
+    return paired(a.name, a.columns[metric][a.sampled], b.name, b.columns[metric][b.sampled])
+
+
+def _notes(plan: Plan, unpaired: bool) -> tuple[str, ...]:
+    design, runs = plan.table["design"], plan.table["runs"]
+    notes = []
+    if design == "corners":
+        notes.append("corners are no sample of the spreads: counts, but no yield and no statistics")
+    if design == "saltelli":
+        notes.append(
+            "yield and statistics rest on the independent part of the saltelli design, "
+            f"{runs // (plan.spaces[0].dimensions() + 2)} runs"
+        )
+    if design == "sobol" and runs & (runs - 1):
+        notes.append(f"sobol is balanced at powers of 2; {runs} is none")
+    if design in ("sobol", "lhs"):
+        notes.append(f"{design} is more even than chance: its intervals are too wide, if anything")
+    if unpaired and len(plan.cases) > 1 and design != "corners":
+        notes.append("the loops did not run on the same plants: no paired comparison")
+    return tuple(notes)
+
+
+def worst(
+    folder: Path, plan: Plan, metric: str, count: int, loop: str | None = None
+) -> list[dict[str, Any]]:
+    """The worst rows that are there: lost runs first, the earliest before all, then by figure."""
+    table = store.read(folder, plan, ["loop", "run", metric, "lost_at_s"])
+    if loop is not None:
+        table = table.filter(pa.array([name == loop for name in table["loop"].to_pylist()]))
+    value, lost = (table[name].to_numpy() for name in (metric, "lost_at_s"))
+    order = np.lexsort((-np.nan_to_num(value, nan=np.inf), np.nan_to_num(lost, nan=np.inf)))
+    rows = table.take(order[:count]).to_pylist()
+    return [
+        {"loop": r["loop"], "run": r["run"], "value": r[metric], "lost_at_s": r["lost_at_s"]}
+        for r in rows
+    ]

@@ -1,0 +1,56 @@
+"""Executors on many machines or processes, by Dask distributed (an extra)."""
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+
+_MISSING = "--workers and --scheduler need Dask: pip install 'jaxstage[cluster]'"
+
+
+@contextmanager
+def local_workers(count: int) -> Iterator[Executor]:
+    """Worker processes on this machine, started anew when one dies. Raises ValueError for < 1."""
+    if count < 1:
+        raise ValueError(f"--workers {count}: must be >= 1")
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise ValueError(_MISSING) from None
+    with (
+        LocalCluster(
+            n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0",
+            memory_limit=0, silence_logs=50,
+        ) as cluster,
+        Client(cluster) as client,
+    ):  # fmt: skip
+        with _told():
+            yield client.get_executor()
+
+
+@contextmanager
+def scheduler_at(address: str, timeout: float = 10.0) -> Iterator[Executor]:
+    """The workers of a running Dask scheduler. Raises OSError where none answers."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ValueError(_MISSING) from None
+    try:
+        client = Client(address, timeout=timeout)
+    except (OSError, ValueError) as error:
+        raise OSError(f"--scheduler {address}: {error}") from None
+    with client, _told():
+        yield client.get_executor()
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """A chunk whose workers die again and again, in one line."""
+    from distributed import KilledWorker
+
+    try:
+        yield
+    except KilledWorker as error:
+        raise OSError(
+            f"{error.allowed_failures + 1} workers died on one chunk (out of memory?): finished "
+            "chunks are kept, --resume goes on"
+        ) from None

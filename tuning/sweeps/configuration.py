@@ -1,0 +1,268 @@
+"""The configuration of a sweep: one table that says everything a run's numbers depend on.
+
+It is plain data, written as TOML (`to_text`): workers rebuild the sweep from that text, a folder
+keeps it, and its hash names it. Every gain, nominal value, spread and number of the timing is in
+it, and the versions that computed, so that equal text means equal numbers.
+"""
+
+import functools
+import hashlib
+import math
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tomli_w
+
+from jaxstage import __version__
+from jaxstage.batch import spread_axes
+from jaxstage.check import check
+from jaxstage.fields import leaves
+from jaxstage.settings import with_leaf
+from jaxstage.studies import Case, Timing, find
+from tuning.blocks import with_blocks, with_max_delay
+from tuning.designs import DESIGNS
+from tuning.runs import prepare
+from tuning.scenario_file import ScenarioFile, place, read_scenario
+from tuning.scenarios import (
+    Batch,
+    Space,
+    batch,
+    draw,
+    longest_delay,
+    run_seed,
+    space,
+    study_spreads,
+    uncertain_leaves,
+)
+
+#: values drawn at once where all are checked before a sweep
+_BLOCK = 65536
+
+
+class Request(NamedTuple):
+    """What the user asked for. gains: loop -> TOML file; chunk: most runs of a file of results."""
+
+    loops: tuple[str, ...]
+    runs: int
+    design: str = "sobol"
+    seed: int = 0
+    chunk: int = 1024
+    precision: str = "double"
+    words: tuple[str, ...] = ()
+    gains: Mapping[str, Path] = {}
+    scenario: Path | None = None
+
+
+class Plan(NamedTuple):
+    """A configuration, built. cases, spaces: one a loop. chunks: files a loop; size: runs of one,
+    the last one less."""
+
+    text: str
+    table: dict[str, Any]
+    cases: tuple[Case, ...]
+    spaces: tuple[Space, ...]
+    chunks: int
+    size: int
+
+    def place(self, index: int) -> tuple[int, int, int]:
+        """Loop, first run and end of a chunk."""
+        loop, part = divmod(index, self.chunks)
+        return loop, part * self.size, min((part + 1) * self.size, self.table["runs"])
+
+
+def configure_sweep(request: Request) -> str:
+    """The configuration as text, everything in it checked, all draws included.
+
+    Raises ValueError in one line for anything unknown, impossible or out of range.
+    """
+    for name, value, low in (("-n", request.runs, 1), ("--chunk", request.chunk, 1)):
+        if value < low:
+            raise ValueError(f"{name} {value}: must be >= {low}")
+    if not 0 <= request.seed < 2**32:
+        raise ValueError(f"--seed {request.seed}: must be 0..{2**32 - 1}")
+    if request.design not in DESIGNS:
+        raise ValueError(f"--design {request.design}: must be one of {', '.join(DESIGNS)}")
+    if len(set(request.loops)) < len(request.loops) or not request.loops:
+        raise ValueError("a sweep needs loops, each named once")
+    if request.precision not in ("single", "double"):
+        raise ValueError(f"precision = '{request.precision}': must be single or double")
+    with jax.enable_x64(request.precision == "double"):
+        text = tomli_w.dumps(_table(request))
+        _check_draws(build(text))
+    return text
+
+
+def _table(request: Request) -> dict[str, Any]:
+    file = read_scenario(request.scenario) if request.scenario else ScenarioFile({}, [], [])
+    spreads = file.spreads or study_spreads(find(request.loops[0]).name)
+    return {
+        "jaxstage": __version__,
+        "jax": jax.__version__,
+        "runs": request.runs,
+        "seed": request.seed,
+        "design": request.design,
+        "precision": request.precision,
+        "chunk": min(request.chunk, request.runs),
+        "blocks": file.blocks,
+        "spread": spreads,
+        "correlation": file.correlations,
+        "loop": [_loop_table(name, request, spreads, file) for name in request.loops],
+    }
+
+
+def _loop_table(
+    name: str, request: Request, spreads: Sequence[Mapping[str, Any]], file: ScenarioFile
+) -> dict[str, Any]:
+    gains = request.gains.get(name)
+    case = prepare(name, list(request.words), gains, request.scenario).case
+    source = request.scenario if file.spreads or file.correlations else None
+    _named_space(case, spreads, file.correlations, source)
+    known = {path: value for path, (_, value) in uncertain_leaves(case).items()}
+    known |= {path: value for path, _, value in leaves(case.gains, "gains")}
+    return {
+        "name": name,
+        "timing": {k: v for k, v in vars(case.timing).items() if v is not None},
+        "values": {path: np.asarray(value, float).tolist() for path, value in known.items()},
+    }
+
+
+def _named_space(
+    case: Case,
+    spreads: Sequence[Mapping[str, Any]],
+    correlations: Sequence[Mapping[str, Any]],
+    file: Path | None,
+) -> None:
+    """Check the spreads one by one, so that an error names its line."""
+    for number in range(len(spreads)):
+        try:
+            space(case, spreads[: number + 1], ())
+        except ValueError as error:
+            where = f"{place(file, 'spread', number)}: " if file else ""
+            raise ValueError(f"{where}{error} ({case.name})") from None
+    try:
+        space(case, spreads, correlations)
+    except ValueError as error:
+        where = f"{place(file, 'correlation', 0)}: " if file else ""
+        raise ValueError(f"{where}{error}") from None
+
+
+@functools.lru_cache(maxsize=4)
+def build(text: str) -> Plan:
+    """The plan of a configuration, in the precision it asks for; the identical one again for equal
+    text, so that nothing is compiled twice. Raises ValueError for one of another version."""
+    table = tomllib.loads(text)
+    for name, version in (("jaxstage", __version__), ("jax", jax.__version__)):
+        if table[name] != version:
+            raise ValueError(
+                f"the sweep was configured with {name} {table[name]}, here is {version}"
+            )
+    with jax.enable_x64(table["precision"] == "double"):
+        cases = tuple(_case(table, loop) for loop in table["loop"])
+    spaces = tuple(space(case, table["spread"], table["correlation"]) for case in cases)
+    cases = tuple(
+        with_max_delay(case, longest_delay(found))
+        for case, found in zip(cases, spaces, strict=True)
+    )
+    _check_design(table, spaces)
+    chunks = math.ceil(table["runs"] / table["chunk"])
+    return Plan(text, table, cases, spaces, chunks, math.ceil(table["runs"] / chunks))
+
+
+def _case(table: Mapping[str, Any], loop: Mapping[str, Any]) -> Case:
+    case = with_blocks(find(loop["name"]).build(Timing(**loop["timing"])), table["blocks"])
+    delay = loop["values"].get("drive.delay", 0.0)
+    return with_values(with_max_delay(case, delay), loop["values"])
+
+
+def with_values(case: Case, values: Mapping[str, Any]) -> Case:
+    """The case with leaves by full path."""
+    gains, scenario, path = case.gains, case.scenario, case.path
+    for name, value in values.items():
+        root, _, rest = name.partition(".")
+        names, array = rest.split("."), jnp.asarray(value)
+        if root == "gains":
+            gains = with_leaf(gains, names, array)
+        elif root == "reference":
+            path = with_leaf(path, names, array)
+        else:
+            scenario = with_leaf(scenario, [root, *names], array)
+    return case._replace(gains=gains, scenario=scenario, path=path)
+
+
+def _check_design(table: Mapping[str, Any], spaces: tuple[Space, ...]) -> None:
+    design, dimensions = DESIGNS[table["design"]], spaces[0].dimensions()
+    columns = [tuple(c for item in s.uncertain for c in item.columns) for s in spaces]
+    if any(other != columns[0] for other in columns):
+        raise ValueError("these loops do not have the same uncertain values: sweep them apart")
+    if not dimensions:
+        raise ValueError("nothing is uncertain: give --scenario FILE with [[spread]] tables")
+    if spaces[0].mixing is not None and design.name in ("corners", "saltelli"):
+        raise ValueError(f"--design {design.name}: the uncertain values must be independent")
+    design.allowed(table["runs"], dimensions)
+
+
+def _check_draws(plan: Plan) -> None:
+    """Refuse a sweep that would meet an impossible value: every draw is checked."""
+    runs = plan.table["runs"]
+    for loop in range(len(plan.cases)):
+        for start in range(0, runs, _BLOCK):
+            numbers = np.arange(start, min(start + _BLOCK, runs))
+            drawn = batch_of(plan, loop, numbers, drawn_values(plan, loop, start, numbers[-1] + 1))
+            trees = (drawn.gains, drawn.scenario, drawn.path)
+            try:
+                check(plan.cases[loop].loop, *trees, spread_axes(drawn.in_axes, trees))
+            except ValueError as error:
+                told = re.sub(r"of run (\d+)", lambda m: f"of run {int(m[1]) + start}", str(error))  # noqa: B023
+                raise ValueError(f"{told} (a draw: bound the spread with low and high)") from None
+
+
+def drawn_values(plan: Plan, loop: int, start: int, stop: int) -> dict[str, np.ndarray]:
+    """Uncertain values of runs start..stop-1 of a loop: path -> (stop - start, *shape), SI."""
+    table = plan.table
+    return draw(plan.spaces[loop], table["design"], table["seed"], table["runs"], start, stop)
+
+
+def batch_of(plan: Plan, loop: int, runs: np.ndarray, values: Mapping[str, np.ndarray]) -> Batch:
+    """Runs of a loop by number, with their values, ready for `rollouts`."""
+    seeds = np.array([run_seed(plan.table["seed"], int(run)) for run in runs], np.uint32)
+    return batch(plan.cases[loop], values, seeds)
+
+
+def precision_of(text: str) -> str:
+    """The precision that a configuration asks for; JAX need not have started."""
+    return tomllib.loads(text)["precision"]
+
+
+def digest(text: str) -> str:
+    """The name of a configuration: 16 digits of its SHA-256."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def differences(old: str, new: str) -> list[str]:
+    """What differs between two configurations, ``name: old -> new`` each."""
+    before, after = (_flat("", tomllib.loads(text)) for text in (old, new))
+    return [
+        f"{name}: {before.get(name, 'none')} -> {after.get(name, 'none')}"
+        for name in {**before, **after}
+        if before.get(name) != after.get(name)
+    ]
+
+
+def _flat(prefix: str, value: Any) -> dict[str, Any]:
+    """Every number of nested tables by its dotted name; tables in lists by their own name."""
+    if isinstance(value, dict):
+        inner = value.items()
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        inner = ((str(v.get("name", v.get("path", i))), v) for i, v in enumerate(value))
+    else:
+        return {prefix: value}
+    flat: dict[str, Any] = {}
+    for name, item in inner:
+        flat |= _flat(f"{prefix}.{name}" if prefix else str(name), item)
+    return flat

@@ -1,0 +1,94 @@
+"""The pictures of a sweep as files in its folder."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from jaxstage import __version__
+from jaxstage.metrics.table import split_key
+from jaxstage.plot import save, sweep
+from tuning.statistics import Comparison
+from tuning.sweeps.analysis import Analysis, LoopResult
+from tuning.sweeps.configuration import digest
+from tuning.sweeps.display import share_text
+
+
+def pictures(found: Analysis, folder: Path) -> list[Path]:
+    """Draw all that applies; returns the files."""
+    sheet = _sheet(found)
+    samples = {loop.name: _sample(loop, found.metric) for loop in found.loops}
+    drawn = {"distribution": sweep.distribution(list(samples.values()), sheet)}
+    labels = {
+        column: f"{label} ({item.unit})" if item.unit != "1" else label
+        for item in found.plan.spaces[0].uncertain
+        for column, label in item.numbers().items()
+    }
+    for loop in found.loops:
+        columns = {label: loop.columns[column] for column, label in labels.items()}
+        correlations = {label: loop.correlations[column] for column, label in labels.items()}
+        drawn[f"{loop.name}-parameters"] = sweep.parameters(
+            samples[loop.name], columns, correlations, sheet
+        )
+        drawn |= _effects(loop, sheet)
+    for c in found.comparisons:
+        drawn[f"{c.first}-against-{c.second}"] = sweep.versus(
+            samples[c.first], samples[c.second], _words(c, found.metric), sheet
+        )
+    files = [folder / f"{name}.png" for name in drawn]
+    for file, figure in zip(files, drawn.values(), strict=True):
+        save(figure, file)
+    return files
+
+
+def _effects(loop: LoopResult, sheet: sweep.Sheet) -> dict[str, sweep.Figure]:
+    drawn = {}
+    if loop.tornado is not None:
+        bars = [
+            sweep.Effect(bar.name, bar.low, bar.high, loop.ends[bar.column])
+            for bar in loop.tornado.bars
+        ]
+        drawn[f"{loop.name}-tornado"] = sweep.tornado(loop.name, loop.tornado.nominal, bars, sheet)
+    if loop.indices is not None:
+        i = loop.indices
+        rows = zip(i.names, i.first, i.first_error, i.total, i.total_error, strict=True)
+        found = [sweep.Index(name, *map(float, numbers)) for name, *numbers in rows]
+        drawn[f"{loop.name}-indices"] = sweep.indices(loop.name, found, sheet)
+    return drawn
+
+
+def _sheet(found: Analysis) -> sweep.Sheet:
+    table = found.plan.table
+    name, unit = split_key(found.metric)
+    footer = "   |   ".join(
+        (
+            f"{table['runs']} plants, {table['design']}",
+            f"seed {table['seed']}",
+            f"{table['precision']} precision",
+            f"specification: {found.spec.text}" if found.spec else "no specification",
+            f"configuration {digest(found.plan.text)}",
+            f"jaxstage {__version__}, jax {jax.__version__}",
+        )
+    )
+    limit = found.spec.limits.get(found.metric) if found.spec else None
+    shown = unit.replace("um", "µm")
+    return sweep.Sheet(f"{name} ({shown})" if unit else name, limit, footer)
+
+
+def _sample(loop: LoopResult, metric: str) -> sweep.Sample:
+    met = loop.met
+    interval = (met.value, met.low, met.high) if met else None
+    text = f"yield {share_text(met)}" if met else ""
+    return sweep.Sample(loop.name, np.asarray(loop.columns[metric]), loop.passed, text, interval)
+
+
+def _words(c: Comparison, metric: str) -> str:
+    unit = split_key(metric)[1].replace("um", "µm")
+    gap = ""
+    if c.difference is not None:
+        d = c.difference
+        gap = f"Mean difference {d.value:.4g} {unit} (95 %: {d.low:.4g}..{d.high:.4g}). "
+    return (
+        f"Each dot is one plant under both laws. {gap}{c.first} is the smaller one on "
+        f"{share_text(c.better)} of the plants."
+    )

@@ -1,0 +1,145 @@
+"""Runs of a sweep again: redrawn from (seed, run), simulated, and held against their rows."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pyarrow.parquet as pq
+import tomli_w
+
+from jaxstage.fields import replace
+from jaxstage.settings import nearest_name
+from jaxstage.studies import Case, find
+from tuning.results import write_text
+from tuning.runs import Prepared, execute
+from tuning.scenarios import run_seed
+from tuning.sweeps import store
+from tuning.sweeps.analysis import choose_metric, usable_columns, worst
+from tuning.sweeps.configuration import Plan, drawn_values, with_values
+from tuning.sweeps.rows import FLAGS
+from tuning.sweeps.sweep import simulate_rows
+
+#: a replay is filled up to so many lanes, so that all of them share one program
+LANES = 64
+
+
+def stored_devices(folder: Path) -> int:
+    """The most devices that a chunk of a sweep was computed on; JAX need not have started."""
+    files = (folder / store.RUNS).glob("*/*.parquet")
+    found = [int((pq.read_metadata(file).metadata or {}).get(b"devices", b"1")) for file in files]
+    return max(found, default=1)
+
+
+def choose(
+    folder: Path, plan: Plan, run: int | None, worst_of: int | None, loop: str | None,
+    metric: str | None,
+) -> list[tuple[int, list[int]]]:  # fmt: skip
+    """Which runs: (loop, numbers) each. Raises ValueError for an unknown loop or count."""
+    names = [entry["name"] for entry in plan.table["loop"]]
+    if loop is not None and loop not in names:
+        raise ValueError(f"--loop {loop}{nearest_name(loop, names)}: one of {', '.join(names)}")
+    if run is not None:
+        return [(i, [run]) for i, name in enumerate(names) if loop in (None, name)]
+    assert worst_of is not None
+    if worst_of < 1:
+        raise ValueError(f"--worst {worst_of}: must be >= 1")
+    judged = choose_metric(usable_columns(plan), None, metric)
+    rows = worst(folder, plan, judged, worst_of, loop)
+    chosen: dict[int, list[int]] = {}
+    for row in rows:
+        chosen.setdefault(names.index(row["loop"]), []).append(row["run"])
+    return list(chosen.items())
+
+
+def replay(folder: Path, plan: Plan, loop: int, runs: Sequence[int]) -> list[dict[str, Any]]:
+    """Simulate some runs of a loop again.
+
+    An object each: parameters and figures as columns, what became of the run, and whether they
+    are ``identical`` to the stored row: same numbers, bit for bit, where versions and devices are
+    those of the sweep; None where the row is not there yet. Raises ValueError for a run that the
+    sweep does not have.
+    """
+    for run in runs:
+        if not 0 <= run < plan.table["runs"]:
+            raise ValueError(f"--run {run}: must be 0..{plan.table['runs'] - 1}")
+    rows = [_stored(folder, plan, loop, run) for run in runs]
+    devices = min(jax.local_device_count(), max((row[1] for row in rows if row), default=1))
+    each = [drawn_values(plan, loop, run, run + 1) for run in runs]
+    values = {path: np.concatenate([one[path] for one in each]) for path in each[0]}
+    lanes = max(len(runs), devices, min(LANES, plan.size))
+    columns = simulate_rows(plan, loop, np.asarray(runs), values, lanes, devices)
+    return [
+        _object(plan, loop, run, {k: v[i] for k, v in columns.items()}, row)
+        for i, (run, row) in enumerate(zip(runs, rows, strict=True))
+    ]
+
+
+def _stored(folder: Path, plan: Plan, loop: int, run: int) -> tuple[dict[str, Any], int] | None:
+    """The row of a run and the devices that it was computed on."""
+    index = loop * plan.chunks + run // plan.size
+    if not store.is_whole(folder, plan, index):
+        return None
+    table = pq.read_table(store.chunk_file(folder, plan, index))
+    devices = int((table.schema.metadata or {}).get(b"devices", b"1"))
+    return table.slice(run % plan.size, 1).to_pylist()[0], devices
+
+
+def _object(
+    plan: Plan, loop: int, run: int, columns: dict[str, Any],
+    stored: tuple[dict[str, Any], int] | None,
+) -> dict[str, Any]:  # fmt: skip
+    plain = {name: _plain(name, value) for name, value in columns.items()}
+    drawn = [c for item in plan.spaces[loop].uncertain for c in item.columns]
+    return {
+        "loop": plan.table["loop"][loop]["name"],
+        "run": run,
+        "parameters": {name: plain[name] for name in drawn},
+        "figures": {k: v for k, v in plain.items() if k not in drawn and k not in FLAGS},
+        **{name: plain[name] for name in FLAGS},
+        "identical": None if stored is None else all(stored[0][k] == plain[k] for k in plain),
+        "largest_difference": None if stored is None else _largest_difference(plain, stored[0]),
+    }
+
+
+def _plain(name: str, value: Any) -> float | int | bool | None:
+    """A number as the table would hold it."""
+    if name == "finite":
+        return bool(value)
+    if name.endswith("_at"):
+        return int(value) if value >= 0 else None
+    return float(value) if np.isfinite(value) else None
+
+
+def _largest_difference(now: dict[str, Any], then: dict[str, Any]) -> float | None:
+    """The largest relative difference of a number; None where one side has none."""
+    largest = 0.0
+    for name, value in now.items():
+        if value == then[name]:
+            continue
+        if value is None or then[name] is None:
+            return None
+        largest = max(largest, abs(value - then[name]) / max(abs(value), abs(then[name])))
+    return largest
+
+
+def machine(plan: Plan, loop: int, run: int) -> Case:
+    """The case of one run: its plant, its random key."""
+    case = plan.cases[loop]
+    with jax.enable_x64(plan.table["precision"] == "double"):
+        values = drawn_values(plan, loop, run, run + 1)
+        case = with_values(case, {path: value[0] for path, value in values.items()})
+        key = jax.random.key(run_seed(plan.table["seed"], run))
+        return case._replace(scenario=replace(case.scenario, key=key))
+
+
+def draw_run(plan: Plan, loop: int, run: int, folder: Path) -> None:
+    """Write pictures, run.json, gains.toml and scenario.toml of a run, as `jaxstage run` does."""
+    case = machine(plan, loop, run)
+    with jax.enable_x64(plan.table["precision"] == "double"):
+        execute(Prepared(case, find(case.name), ()), folder)
+    if plan.table["blocks"]:
+        file = folder / "scenario.toml"
+        blocks = tomli_w.dumps({"blocks": plan.table["blocks"]})
+        write_text(file, file.read_text(encoding="utf-8") + "\n" + blocks)

@@ -1,0 +1,138 @@
+"""A sweep in a folder: its configuration, and one Parquet file a chunk, whole or absent.
+
+    DIR/sweep.toml                            the configuration
+    DIR/runs/dfcmac-circle/00000.parquet      one row a run; Parquet readers take DIR/runs/LOOP
+
+A chunk is written beside its place, flushed to the disk and renamed: whatever stops the process,
+files are whole. Nothing but this module writes there.
+"""
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tuning.sweeps.configuration import Plan, differences, digest
+
+CONFIGURATION = "sweep.toml"
+RUNS = "runs"
+
+
+def create(folder: Path, text: str, resume: bool) -> None:
+    """Make the folder of a sweep, or take one that holds the same sweep when ``resume``.
+
+    Raises ValueError for a folder that holds something else, another configuration (with what
+    differs), or this one without ``resume``; nothing is touched then.
+    """
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        if resume and not folder.exists():
+            raise ValueError(f"--resume: {folder} does not exist")
+        folder.mkdir(parents=True, exist_ok=True)
+        write_whole(folder / CONFIGURATION, text.encode())
+        return
+    old = read_configuration(folder)
+    if old != text:
+        changed = differences(old, text)
+        more = f" and {len(changed) - 5} more" if len(changed) > 5 else ""
+        raise ValueError(
+            f"{folder} holds a sweep of another configuration; {'; '.join(changed[:5])}{more}"
+        )
+    if not resume:
+        raise ValueError(f"{folder} holds this sweep already: --resume goes on with it")
+
+
+def read_configuration(folder: Path) -> str:
+    """The configuration of a sweep. Raises ValueError where there is none."""
+    file = folder / CONFIGURATION
+    if not folder.exists():
+        raise ValueError(f"{folder} does not exist")
+    if not file.is_file():
+        raise ValueError(f"{folder} holds no sweep: there is no {CONFIGURATION}")
+    return file.read_text(encoding="utf-8")
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other processes from sweeping into the folder. Raises ValueError where one does."""
+    with (folder / CONFIGURATION).open("rb") as file:
+        try:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except ImportError:
+            pass  # no such locks on this system
+        except BlockingIOError:
+            raise ValueError(f"another process is sweeping into {folder}") from None
+        yield
+
+
+def chunk_file(folder: Path, plan: Plan, index: int) -> Path:
+    """Where a chunk stands."""
+    loop, part = divmod(index, plan.chunks)
+    return folder / RUNS / plan.table["loop"][loop]["name"] / f"{part:05d}.parquet"
+
+
+def missing(folder: Path, plan: Plan) -> list[int]:
+    """The chunks that are not there, or not whole, or of another configuration."""
+    every = range(plan.chunks * len(plan.cases))
+    return [index for index in every if not is_whole(folder, plan, index)]
+
+
+def is_whole(folder: Path, plan: Plan, index: int) -> bool:
+    """Whether a chunk is there with all its rows, of this configuration."""
+    _, start, stop = plan.place(index)
+    try:
+        found = pq.read_metadata(chunk_file(folder, plan, index))
+    except (OSError, pa.ArrowInvalid):
+        return False
+    same = (found.metadata or {}).get(b"configuration_sha256") == digest(plan.text).encode()
+    return same and found.num_rows == stop - start
+
+
+def write(folder: Path, plan: Plan, index: int, rows: pa.Table) -> None:
+    """Keep a chunk."""
+    data = pa.BufferOutputStream()
+    pq.write_table(rows, data, compression="zstd")
+    file = chunk_file(folder, plan, index)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, data.getvalue())
+
+
+def write_whole(file: Path, data: bytes | pa.Buffer) -> None:
+    """Write a file whole or not at all, also when the power fails."""
+    partial = file.with_name(file.name + ".partial")
+    try:
+        with partial.open("wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(partial, file)
+    finally:
+        partial.unlink(missing_ok=True)
+    if os.name == "posix":  # the name is on the disk, too
+        folder = os.open(file.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def present(folder: Path, plan: Plan) -> list[Path]:
+    """The files of the chunks that are there, by loop and run. Raises ValueError for none."""
+    gone = set(missing(folder, plan))
+    every = range(plan.chunks * len(plan.cases))
+    files = [chunk_file(folder, plan, index) for index in every if index not in gone]
+    if not files:
+        raise ValueError(f"{folder} has no runs yet: sweep with --resume goes on with it")
+    return files
+
+
+def read(folder: Path, plan: Plan, columns: Sequence[str] | None = None) -> pa.Table:
+    """The rows of all chunks that are there, by loop and run. columns: only these."""
+    wanted = None if columns is None else list(columns)
+    tables = [pq.read_table(file, columns=wanted) for file in present(folder, plan)]
+    # laws have figures of their own: null in the rows of the others
+    return pa.concat_tables(tables, promote_options="default").combine_chunks()

@@ -1,0 +1,162 @@
+"""Monte-Carlo sweeps: chunks of runs through the batch engine, on any executor.
+
+A task is (configuration text, chunk number): nothing else travels to a worker, and the rows that
+come back depend on nothing else. Chunks are written by the process that calls `sweep`, as each
+comes back.
+"""
+
+import functools
+import platform
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jaxlib.version
+import numpy as np
+import pyarrow as pa
+
+from jaxstage.batch import rollouts
+from jaxstage.runtime import configure, cpu_cores
+from tuning.sweeps import store
+from tuning.sweeps.configuration import Plan, batch_of, build, digest, drawn_values
+from tuning.sweeps.rows import figure_columns, flag_columns, parameter_columns
+
+#: bytes that the results of one chunk may take before it is refused
+CHUNK_MEMORY = 2e9
+
+
+@functools.cache
+def start_worker(cores: int) -> None:
+    """Start JAX in a worker with one device a core; 0 takes all cores the worker may use."""
+    configure(cores=cores or cpu_cores(), cache="default")
+
+
+def run_chunk(text: str, index: int, cores: int | None = None) -> pa.Table:
+    """The rows of one chunk of a configuration.
+
+    cores: for a worker, which starts JAX with them (0: all it may use); None leaves JAX as it is.
+    """
+    if cores is not None:
+        start_worker(cores)
+    return chunk_rows(build(text), index)
+
+
+def chunk_rows(plan: Plan, index: int) -> pa.Table:
+    """The rows of a chunk. It is filled up with its last run, so that all share one program."""
+    loop, start, stop = plan.place(index)
+    runs = np.arange(start, stop)
+    values = drawn_values(plan, loop, start, stop)
+    columns = simulate_rows(plan, loop, runs, values, plan.size)
+    return _table(plan, loop, runs, columns)
+
+
+def simulate_rows(
+    plan: Plan,
+    loop: int,
+    runs: np.ndarray,
+    values: dict[str, np.ndarray],
+    lanes: int,
+    devices: int | None = None,
+) -> dict[str, np.ndarray]:
+    """Columns of some runs of a loop, simulated in a batch of ``lanes`` >= len(runs).
+
+    runs: their numbers. values: their uncertain values, path -> (n, *shape).
+    """
+    case, index = plan.cases[loop], np.minimum(np.arange(lanes), len(runs) - 1)
+    with jax.enable_x64(plan.table["precision"] == "double"):
+        filled = {path: value[index] for path, value in values.items()}
+        batch = batch_of(plan, loop, runs[index], filled)
+        run = rollouts(
+            case.loop, batch.gains, batch.scenario, batch.path, case.window.ticks,
+            in_axes=batch.in_axes, memory=CHUNK_MEMORY, devices=devices,
+        )  # fmt: skip
+        flags = flag_columns(run, case.loop.dt)
+        figures = figure_columns(run.report, case.loop.plant)
+    simulated = {name: column[: len(runs)] for name, column in {**figures, **flags}.items()}
+    return parameter_columns(plan.spaces[loop].uncertain, values) | simulated
+
+
+def _table(plan: Plan, loop: int, runs: np.ndarray, columns: dict[str, np.ndarray]) -> pa.Table:
+    name = plan.table["loop"][loop]["name"]
+    arrays = {"loop": pa.array([name] * len(runs)).dictionary_encode(), "run": pa.array(runs)}
+    for key, column in columns.items():
+        missing = column < 0 if key.endswith("_at") else ~np.isfinite(column)
+        arrays[key] = pa.array(column, mask=missing)
+    return pa.table(arrays).replace_schema_metadata(_metadata(plan))
+
+
+def _metadata(plan: Plan) -> dict[str, str]:
+    """What computed these rows. ``devices`` may change the last digits, see `rollouts`."""
+    return {
+        "configuration": plan.text,
+        "configuration_sha256": digest(plan.text),
+        "jaxstage": plan.table["jaxstage"],
+        "jax": jax.__version__,
+        "jaxlib": jaxlib.version.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "processor": jax.local_devices()[0].device_kind,
+        "devices": str(min(jax.local_device_count(), plan.size)),
+        "seed": str(plan.table["seed"]),
+    }
+
+
+class Progress(NamedTuple):
+    """How far a sweep is. written: rows of the chunk that has just been kept."""
+
+    done: int
+    runs: int
+    written: pa.Table
+
+
+def sweep(
+    text: str,
+    folder: Path,
+    executor: Executor | None = None,
+    watch: Callable[[Progress], None] = lambda progress: None,
+    cores: int | None = None,
+) -> int:
+    """Run what is missing of a sweep in a folder made by `store.create`; returns how many runs.
+
+    text: of `configure_sweep`. executor: any; its workers must have jaxstage installed; this
+    process if left out. cores: devices of a worker, see `run_chunk`. Stopped at any moment, by a
+    signal, a full disk or a lost machine, the next call does what is missing: chunks are whole or
+    absent. Raises what a chunk raised, after keeping those that were done.
+    """
+    plan = build(text)
+    with store.locked(folder):
+        todo = store.missing(folder, plan)
+        rows = [stop - start for _, start, stop in map(plan.place, todo)]
+        total = plan.table["runs"] * len(plan.cases)
+        done = total - sum(rows)
+        own = ThreadPoolExecutor(1) if executor is None else None
+        pool = executor or own
+        assert pool is not None
+        futures = {pool.submit(run_chunk, text, index, cores): index for index in todo}
+        try:
+            for table in _each_done(futures):
+                store.write(folder, plan, table.index, table.rows)
+                done += table.rows.num_rows
+                watch(Progress(done, total, table.rows))
+        finally:
+            for future in futures:
+                future.cancel()
+            if own is not None:
+                own.shutdown(cancel_futures=True)
+    return sum(rows)
+
+
+class Finished(NamedTuple):
+    """A chunk that came back."""
+
+    index: int
+    rows: pa.Table
+
+
+def _each_done(futures: dict[Future[pa.Table], int]) -> Iterable[Finished]:
+    """Chunks as they come back; what was handed out is no longer held."""
+    for future in as_completed(list(futures)):
+        yield Finished(futures.pop(future), future.result())
