@@ -27,6 +27,7 @@ ROOT = Path(__file__).parents[2]
 LAP = ("lap_time=1",)
 #: 200 ticks: here the host's work counts most
 SHORT = ("lap_time=0.02", "laps=1", "scored=0")
+WHOLE = ("lap_time=1", "laps=1", "scored=0")
 CHUNK = 1024
 
 
@@ -85,22 +86,22 @@ def throughput(loop: str, chunks: int, rounds: int) -> list[str]:
     ]  # fmt: skip
 
 
-def growth(words: str) -> None:
-    """In a process of its own: seconds and peak memory of a sweep of so many short runs."""
-    loop, runs = words.split(",")
-    size = build(_request((loop,), int(runs), SHORT)).size
-    _swept(_request((loop,), size, SHORT))  # the same program, compiled
+def growth(loop: str, runs: int, timing: tuple[str, ...]) -> None:
+    """In a process of its own: seconds and peak memory of a sweep of so many runs."""
+    size = build(_request((loop,), runs, timing)).size
+    _swept(_request((loop,), size, timing))  # the same program, compiled
     base = _status("VmRSS")
     _forget_peak()
     begin = time.perf_counter()
-    text = _request((loop,), int(runs), SHORT)
+    text = _request((loop,), runs, timing)
     configured = time.perf_counter() - begin
     seconds = _swept(text).wall
     print(json.dumps([configured, seconds, _status("VmHWM") - base]))
 
 
-def _grown(loop: str, runs: int) -> list[str]:
-    command = [sys.executable, "-m", "tests.speed.sweep", "--child", f"{loop},{runs}"]
+def _grown(loop: str, runs: int, timing: tuple[str, ...]) -> list[str]:
+    child = ["--child", loop, str(runs), *timing]
+    command = [sys.executable, "-m", "tests.speed.sweep", *child]
     answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     configured, seconds, peak = json.loads(answer.stdout.splitlines()[-1])
     each = (configured + seconds) / runs
@@ -112,12 +113,17 @@ def main() -> None:
     """Print the tables that were asked for."""
     parser = argparse.ArgumentParser(prog="python -m tests.speed.sweep", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a minute: fewer and shorter")
-    parser.add_argument("--large", action="store_true", help="10 000 plants under three laws")
-    parser.add_argument("--child", help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--large",
+        action="store_true",
+        help="10 000 plants under three laws; growth by whole laps",
+    )
+    parser.add_argument("--child", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args()
     js.configure("double", cores=cpu_cores(), cache="default")
     if options.child:
-        growth(options.child)
+        loop, runs, *words = options.child
+        growth(loop, int(runs), tuple(words))
         return
     for name, text in machine().items():
         print(f"{name:10} {text}")
@@ -132,12 +138,13 @@ def main() -> None:
         "engine: rollouts alone; sweep: draws, checks, Parquet too; then shares of the engine's",
     ))  # fmt: skip
     sizes = (1000, 10_000) if options.quick else (1000, 10_000, 100_000)
-    rows = [_grown("pi-circle", runs) for runs in sizes]
-    head = ("plants", "configured", "swept", "a plant", "peak")
-    print(table(
-        "How a sweep grows: pi-circle, 200 ticks a run", head, rows,
-        "peak: memory above that of the process after a first sweep",
-    ))  # fmt: skip
+    for ticks, timing in ((200, SHORT), (10_000, WHOLE))[: 2 if options.large else 1]:
+        rows = [_grown("pi-circle", runs, timing) for runs in sizes]
+        head = ("plants", "configured", "swept", "a plant", "peak")
+        print(table(
+            f"How a sweep grows: pi-circle, {ticks} ticks a run", head, rows,
+            "peak: memory above that of the process after a first sweep",
+        ))  # fmt: skip
     if options.large:
         loops = ("cmac-circle", "dfcmac-circle", "cascade-circle")
         spent = _swept(_request(loops, 10_000, LAP))
