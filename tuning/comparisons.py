@@ -1,13 +1,16 @@
 """A study's claims against this simulation: as an object, as text, as pictures."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import jax
 from rich.console import Console
 from rich.table import Table
 
 from jaxstage.metrics import record, together
+from jaxstage.runtime import cpu_cores
 from jaxstage.settings import nearest_name
 from jaxstage.studies import Comparison, Study, all_studies, with_metric
 from jaxstage.studies.claim import count
@@ -85,27 +88,38 @@ def draw(compared: Comparison, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / "claims.png"]
     plot.save(plot.claims(compared.study.title, compared.claims), files[0])
-    for drawing in compared.study.drawings:
+    drawings = compared.study.drawings
+    with ThreadPoolExecutor(cpu_cores()) as pool:
+        views = pool.map(_view, [d for d in drawings if isinstance(d, RunDrawing)])
+    for drawing in drawings:
         if isinstance(drawing, ChartDrawing):
             file = folder / f"{drawing.name}.png"
             panels = drawing.charts(compared.evidence)
             plot.save(plot.chart(drawing.title, drawing.text, panels), file)
             files.append(file)
         else:
-            files += _draw_run(drawing, folder)
+            files += _draw_run(drawing, next(views), folder)
     write_text(folder / "compare.json", json.dumps(as_object(compared), indent=2) + "\n")
     return files
 
 
-def _draw_run(drawing: RunDrawing, folder: Path) -> list[Path]:
+def _view(drawing: RunDrawing) -> Any:
+    """The recorded run of a drawing."""
     from jaxstage import plot
 
-    case = drawing.case()
-    run = with_metric(case, together(case.loop.metric, record)).simulate()
-    shown = plot.view(case, run.report["scored"], run.rows["record"])._replace(name=drawing.text)
+    with jax.enable_x64(True):  # a setting of the thread
+        case = drawing.case()
+        run = with_metric(case, together(case.loop.metric, record)).simulate()
+        shown = plot.view(case, run.report["scored"], run.rows["record"])
+    return shown._replace(name=drawing.text)
+
+
+def _draw_run(drawing: RunDrawing, view: Any, folder: Path) -> list[Path]:
+    from jaxstage import plot
+
     files = []
     for name in drawing.views:
         file = folder / f"{drawing.name}-{name}.png"
-        plot.save(plot.VIEWS[name](shown), file)
+        plot.save(plot.VIEWS[name](view), file)
         files.append(file)
     return files

@@ -13,8 +13,9 @@ def show(title: str, result: dict[str, Any]) -> None:
     console = Console(highlight=False)
     console.print(f"[bold]{result['loop']}[/bold]  {title}")
     console.print(result["verdict"])
+    laps = f"{result['laps']:.4g} lap{'' if result['laps'] == 1 else 's'}"
     console.print(
-        f"{result['duration_s']:g} s, {result['laps']:.4g} laps of {result['lap_time_s']:.4g} s, "
+        f"{result['duration_s']:g} s, {laps} of {result['lap_time_s']:.4g} s, "
         f"control period {result['dt_s'] * 1e6:g} us, {result['precision']} precision"
     )
     if not result["finite"]:
