@@ -194,6 +194,7 @@ def test_a_specification_knows_its_limits():
         ("z_um < 20", "unknown column 'z_um'; did you mean"),
         ("x_um <", "at character"),
         ("x_um", "is a number: compare it"),
+        ("1 < 2", "reads no column"),
         ("finite < 3", "'finite' is a condition, not a number"),
         ("x_um and finite", "'x_um' is a number, not a condition"),
         ("__import__('os').system('ls')", "is not part of the language"),

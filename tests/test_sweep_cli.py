@@ -296,6 +296,17 @@ WRONG = {
     "replay nothing": (["replay", "new", "--run", "1"], "new does not exist"),
     "replay foreign": (["replay", "foreign", "--run", "1"], "foreign holds no sweep"),
     "replay what": (["replay", "foreign"], "foreign holds no sweep"),
+    "other file": (["sweep", "--resume", "--out", "other"], "it has no 'jaxstage'"),
+    "other file, loops": (["sweep", "pi-circle", "--out", "other"], "it has no 'jaxstage'"),
+    "no TOML": (["replay", "broken", "--run", "1"], "broken/sweep.toml is no configuration"),
+    "when lost": (
+        ["sweep", "pi-circle", "--spec", "finite or lost_at_s > 1", "--out", "new"],
+        "unknown column 'lost_at_s'",
+    ),
+    "metric is a plant": (
+        ["sweep", "pi-circle", "--metric", "plant_mass_x_kg", "--out", "new"],
+        "no such figure",
+    ),
 }
 
 
@@ -304,12 +315,16 @@ def test_a_wrong_use_is_one_line_and_writes_nothing(command, case):
     Path("foreign").mkdir()
     Path("foreign/thesis.txt").write_text("mine")
     Path("spread.toml").write_text(SCENARIO)
+    for folder, content in (("other", "a = 1\n"), ("broken", "= [\n")):
+        Path(folder).mkdir()
+        Path(folder, "sweep.toml").write_text(content)
     (name, *words), says = WRONG[case]
     result = command(name, *words, *(SHORT if name == "sweep" and "sim1" not in words else ()))
     assert result.status == 2 and result.out == ""
     assert result.err.startswith("jaxstage: ") and result.err.count("\n") == 1, result.err
     assert says in result.err
-    assert sorted(file.name for file in Path().iterdir()) == ["foreign", "spread.toml"]
+    there = sorted(file.name for file in Path().iterdir())
+    assert there == ["broken", "foreign", "other", "spread.toml"]
     assert [file.name for file in Path("foreign").iterdir()] == ["thesis.txt"]
 
 

@@ -23,14 +23,13 @@ CORNER = 3.0
 
 @definition
 class Distribution:
-    """quantile: probabilities in [0, 1] to values, elementwise. low, high: the corners; the bounds
-    of the values too, where ``bounded``."""
+    """quantile: probabilities in [0, 1] to values, elementwise. low, high: the corners, bounds of
+    the values where they have any."""
 
     text: str
     quantile: Callable[[np.ndarray], np.ndarray]
     low: float
     high: float
-    bounded: bool
 
 
 def _finite(**numbers: float) -> None:
@@ -58,9 +57,7 @@ def uniform(low: float, high: float) -> Distribution:
     def quantile(p: np.ndarray) -> np.ndarray:
         return low + (high - low) * p
 
-    return Distribution(
-        text=f"uniform {low:g}..{high:g}", quantile=quantile, low=low, high=high, bounded=True
-    )
+    return Distribution(text=f"uniform {low:g}..{high:g}", quantile=quantile, low=low, high=high)
 
 
 @functools.cache
@@ -78,7 +75,7 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
         return np.where(p < share, rising, falling)
 
     text = f"triangular {low:g}..{mode:g}..{high:g}"
-    return Distribution(text=text, quantile=quantile, low=low, high=high, bounded=True)
+    return Distribution(text=text, quantile=quantile, low=low, high=high)
 
 
 @functools.cache
@@ -101,7 +98,6 @@ def normal(
     return Distribution(
         text=f"normal {mean:g} +- {deviation:g}{cut}", quantile=quantile,
         low=max(low, mean - CORNER * deviation), high=min(high, mean + CORNER * deviation),
-        bounded=math.isfinite(low) and math.isfinite(high),
     )  # fmt: skip
 
 
@@ -126,7 +122,7 @@ def lognormal(
     cut = "" if low == 0 and math.isinf(high) else f", cut to {low:g}..{high:g}"
     return Distribution(
         text=f"log-normal {median:g}, deviation {deviation:g}{cut}", quantile=quantile,
-        low=math.exp(logarithm.low), high=math.exp(logarithm.high), bounded=math.isfinite(high),
+        low=math.exp(logarithm.low), high=math.exp(logarithm.high),
     )  # fmt: skip
 
 
@@ -149,7 +145,7 @@ def discrete(values: tuple[float, ...], weights: tuple[float, ...] = ()) -> Dist
 
     text = "one of " + ", ".join(f"{v:g}" for v in values)
     return Distribution(
-        text=text, quantile=quantile, low=float(ordered[0]), high=float(ordered[-1]), bounded=True
+        text=text, quantile=quantile, low=float(ordered[0]), high=float(ordered[-1])
     )
 
 
@@ -163,6 +159,10 @@ DISTRIBUTIONS: dict[str, Callable[..., Distribution]] = {
 }
 
 
+#: arguments of the makers that are lists
+LISTS = ("values", "weights")
+
+
 def from_table(table: Mapping[str, Any]) -> Distribution:
     """The distribution that a table names: ``distribution`` and the arguments of its maker.
 
@@ -173,7 +173,7 @@ def from_table(table: Mapping[str, Any]) -> Distribution:
         hint = nearest_name(str(name), DISTRIBUTIONS)
         raise ValueError(f"distribution = {name}{hint}: one of {', '.join(DISTRIBUTIONS)}")
     maker = DISTRIBUTIONS[name]
-    given = {key: _number(key, value) for key, value in table.items() if key != "distribution"}
+    given = {key: _argument(key, value) for key, value in table.items() if key != "distribution"}
     try:
         inspect.signature(maker).bind(**given)
     except TypeError as error:
@@ -181,12 +181,15 @@ def from_table(table: Mapping[str, Any]) -> Distribution:
     return maker(**given)
 
 
-def _number(name: str, value: Any) -> float | tuple[float, ...]:
-    try:
-        if isinstance(value, list | tuple):
-            return tuple(float(v) for v in value)
-        if isinstance(value, bool):
-            raise TypeError
-        return float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} = {value}: must be a number") from None
+def _argument(name: str, value: Any) -> float | tuple[float, ...]:
+    if name not in LISTS:
+        return _number(name, value)
+    if not isinstance(value, list | tuple):
+        raise ValueError(f"{name} = {value}: must be a list of numbers")
+    return tuple(_number(f"{name}[{i}]", v) for i, v in enumerate(value))
+
+
+def _number(name: str, value: Any) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        raise ValueError(f"{name} = {value}: must be a number")
+    return float(value)

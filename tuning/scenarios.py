@@ -112,7 +112,9 @@ def space(
 
 
 def _uncertain(case: Case, table: dict[str, Any], first: int) -> Uncertain:
-    path = resolve(str(table.pop("path", "")), uncertain_leaves(case))
+    if "path" not in table:
+        raise ValueError("a spread has a path, e.g. plant.mass")
+    path = resolve(str(table.pop("path")), uncertain_leaves(case))
     quantity, value = uncertain_leaves(case)[path]
     flags = {name: table.pop(name, default) for name, default in FLAGS.items()}
     for name, flag in flags.items():
@@ -159,7 +161,8 @@ def _mixing(
         if len(table) != 2 or not isinstance(between, list) or len(between) != 2:
             raise ValueError("a correlation has between = [two settings] and value = -1..1")
         if not isinstance(value, int | float) or not -1 < value < 1:
-            raise ValueError(f"correlation of {' and '.join(between)} = {value}: must be in -1..1")
+            both = " and ".join(map(str, between))
+            raise ValueError(f"correlation of {both} = {value}: must be in -1..1")
         one, other = (_places(name, items) for name in between)
         if len(one) != len(other) or set(one) & set(other):
             raise ValueError(

@@ -54,6 +54,8 @@ def parse(text: str, columns: Mapping[str, type]) -> Specification:
         names: dict[str, None] = {}
         if _kind(tree, columns, names) is not bool:
             raise ValueError("is a number: compare it with one, e.g. contour_max_um < 20")
+        if not names:
+            raise ValueError("reads no column")
     except SyntaxError as error:
         raise ValueError(f"--spec '{shown}': {error.msg} at character {error.offset}") from None
     except (RecursionError, MemoryError):

@@ -1,6 +1,5 @@
 """What a finished (or stopped) sweep says: yield, statistics, comparisons, sensitivities."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +22,7 @@ from tuning.statistics import (
 )
 from tuning.sweeps import store
 from tuning.sweeps.configuration import Plan
-from tuning.sweeps.rows import FLAGS, figure_names
+from tuning.sweeps.rows import figure_names
 from tuning.sweeps.sensitivity import (
     Indices,
     Tornado,
@@ -81,43 +80,45 @@ class Analysis(NamedTuple):
 
 
 def usable_columns(plan: Plan) -> dict[str, type]:
-    """Columns of numbers and conditions that the rows of every loop have: name -> float or bool.
+    """What a specification may use: columns of the rows of every loop, name -> float or bool.
 
-    Known before anything has run.
+    Known before anything has run. The time at which a run was lost is not among them: complete
+    runs have no such number, and none of them would pass.
     """
     kinds: list[dict[str, type]] = []
     for case, space in zip(plan.cases, plan.spaces, strict=True):
         parameters = dict.fromkeys((c for item in space.uncertain for c in item.columns), float)
-        flags = dict.fromkeys(FLAGS, float) | {"finite": bool}
-        kinds.append({"run": float} | parameters | dict.fromkeys(figure_names(case), float) | flags)
+        figures = dict.fromkeys(figure_names(case), float)
+        kinds.append({"run": float} | parameters | figures | {"finite": bool})
     return {name: kind for name, kind in kinds[0].items() if all(name in k for k in kinds)}
 
 
-def choose_metric(columns: Mapping[str, type], spec: Specification | None, name: str | None) -> str:
+def choose_metric(plan: Plan, spec: Specification | None, name: str | None) -> str:
     """The figure to judge: as asked, or the first that the specification limits, or a usual one.
 
     Raises ValueError for an unknown one.
     """
+    columns = usable_columns(plan)
+    known = [n for n in figure_names(plan.cases[0]) if n in columns]
     if name is not None:
-        if columns.get(name) is not float:
-            raise ValueError(f"--metric {name}{nearest_name(name, columns)}: no such figure")
+        if name not in known:
+            raise ValueError(f"--metric {name}{nearest_name(name, known)}: no such figure")
         return name
-    limited = list(spec.limits) if spec else []
-    usual = [n for n in FIGURES if n in columns]
-    for found in (*limited, *usual, *(n for n in columns if n.endswith("_um"))):
+    limited = [n for n in (spec.limits if spec else ()) if n in known]
+    usual = [n for n in FIGURES if n in known]
+    for found in (*limited, *usual, *(n for n in known if n.endswith("_um"))):
         return found
     raise ValueError("--metric: name the figure to judge")
 
 
 def understood(plan: Plan, question: Question) -> tuple[Specification | None, str]:
     """The specification and the figure to judge. Raises ValueError in one line."""
-    kinds = usable_columns(plan)
-    spec = parse(question.spec, kinds) if question.spec else None
+    spec = parse(question.spec, usable_columns(plan)) if question.spec is not None else None
     if question.target is not None:
         if spec is None:
             raise ValueError(f"--target {question.target:g} needs a --spec")
         claim(share(0, 1), question.target)
-    return spec, choose_metric(kinds, spec, question.metric)
+    return spec, choose_metric(plan, spec, question.metric)
 
 
 def analyse(folder: Path, plan: Plan, question: Question) -> Analysis:

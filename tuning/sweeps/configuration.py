@@ -138,18 +138,19 @@ def _named_space(
     correlations: Sequence[Mapping[str, Any]],
     file: Path | None,
 ) -> None:
-    """Check the spreads one by one, so that an error names its line."""
+    """Check spreads and correlations one by one, so that an error names its line."""
     for number in range(len(spreads)):
         try:
             space(case, spreads[: number + 1], ())
         except ValueError as error:
             where = f"{place(file, 'spread', number)}: " if file else ""
             raise ValueError(f"{where}{error} ({case.name})") from None
-    try:
-        space(case, spreads, correlations)
-    except ValueError as error:
-        where = f"{place(file, 'correlation', 0)}: " if file else ""
-        raise ValueError(f"{where}{error}") from None
+    for number in range(len(correlations)):
+        try:
+            space(case, spreads, correlations[: number + 1])
+        except ValueError as error:
+            where = f"{place(file, 'correlation', number)}: " if file else ""
+            raise ValueError(f"{where}{error}") from None
 
 
 @functools.lru_cache(maxsize=4)

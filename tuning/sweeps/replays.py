@@ -16,7 +16,7 @@ from tuning.results import write_text
 from tuning.runs import Prepared, execute
 from tuning.scenarios import run_seed
 from tuning.sweeps import store
-from tuning.sweeps.analysis import choose_metric, usable_columns, worst
+from tuning.sweeps.analysis import choose_metric, worst
 from tuning.sweeps.configuration import Plan, drawn_values, with_values
 from tuning.sweeps.rows import FLAGS
 from tuning.sweeps.sweep import simulate_rows
@@ -45,7 +45,7 @@ def choose(
     assert worst_of is not None
     if worst_of < 1:
         raise ValueError(f"--worst {worst_of}: must be >= 1")
-    judged = choose_metric(usable_columns(plan), None, metric)
+    judged = choose_metric(plan, None, metric)
     rows = worst(folder, plan, judged, worst_of, loop)
     chosen: dict[int, list[int]] = {}
     for row in rows:

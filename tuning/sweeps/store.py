@@ -8,6 +8,7 @@ files are whole. Nothing but this module writes there.
 """
 
 import os
+import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,13 +46,21 @@ def create(folder: Path, text: str, resume: bool) -> None:
 
 
 def read_configuration(folder: Path) -> str:
-    """The configuration of a sweep. Raises ValueError where there is none."""
+    """The configuration of a sweep. Raises ValueError where there is none, or a foreign one."""
     file = folder / CONFIGURATION
     if not folder.exists():
         raise ValueError(f"{folder} does not exist")
     if not file.is_file():
         raise ValueError(f"{folder} holds no sweep: there is no {CONFIGURATION}")
-    return file.read_text(encoding="utf-8")
+    try:
+        text = file.read_text(encoding="utf-8")
+        table = tomllib.loads(text)
+    except ValueError as error:
+        raise ValueError(f"{file} is no configuration of a sweep: {error}") from None
+    lacking = [name for name in ("jaxstage", "precision", "runs", "loop") if name not in table]
+    if lacking:
+        raise ValueError(f"{file} is no configuration of a sweep: it has no '{lacking[0]}'")
+    return text
 
 
 @contextmanager
