@@ -250,7 +250,7 @@ KEYS = {
 
 
 def command(monkeypatch, capsys, *words):
-    monkeypatch.setattr(tuning.comparisons, "all_studies", (small_study(10.5),))
+    monkeypatch.setattr(tuning.comparisons, "known_studies", lambda: (small_study(10.5),))
     monkeypatch.setattr("jaxstage.runtime.configure", lambda **_: None)
     monkeypatch.setattr(sys, "argv", ["jaxstage", *words])
     with pytest.raises(SystemExit) as stopped:

@@ -1,18 +1,16 @@
 """`jaxstage sweep` and `jaxstage replay`: what they print, keep, take back and refuse."""
 
-import json
-import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from commanding import command as command
+from commanding import strict_json
 
 import jaxstage as js
 from jaxstage.metrics import tracking
-from tuning import cli
 from tuning.results import write_settings
 from tuning.runs import prepare
 from tuning.sweeps import replays, store
@@ -23,45 +21,6 @@ from tuning.sweeps.sensitivity import tornado
 SHORT = ("--set", "lap_time=0.02", "--set", "laps=1", "--set", "scored=0")
 SMALL = ("sweep", "pi-circle", "cascade-circle", "-n", "8", "--chunk", "4", *SHORT)
 SPEC = ("--spec", "contour_max_um < 60 and finite", "--target", "0.9")
-
-
-class Answer(NamedTuple):
-    """What a command did."""
-
-    status: int
-    out: str
-    err: str
-
-    @property
-    def json(self):
-        return strict_json(self.out)
-
-
-def strict_json(text):
-    """One object; refuses NaN and Infinity."""
-
-    def refuse(word):
-        raise AssertionError(f"{word} is no JSON")
-
-    return json.loads(text, parse_constant=refuse)
-
-
-@pytest.fixture
-def command(monkeypatch, capsys, tmp_path):
-    """The command line in this process, which has already started JAX, in an empty folder."""
-    monkeypatch.setattr("jaxstage.runtime.configure", lambda *_, **__: None)
-    here = tmp_path / "here"
-    here.mkdir()
-    monkeypatch.chdir(here)
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["jaxstage", *map(str, words)])
-        with pytest.raises(SystemExit) as stopped:
-            cli.main()
-        captured = capsys.readouterr()
-        return Answer(stopped.value.code or 0, captured.out, captured.err)
-
-    return call
 
 
 @pytest.fixture(scope="module")

@@ -51,21 +51,22 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 @app.command("list")
 def list_loops() -> None:
-    """The published systems: loops, references, claims with their verdicts."""
+    """The published systems and your own: loops, references, claims with their verdicts."""
     from rich.console import Console
     from rich.table import Table
 
-    from jaxstage.studies import all_studies
+    from jaxstage.studies import known_studies, stored_verdicts
     from jaxstage.studies.claim import count
-    from jaxstage.studies.comparison import stored_verdicts
 
     console = Console(highlight=False)
-    for study in all_studies:
-        verdicts = ", ".join(f"{n} {v}" for v, n in count(stored_verdicts(study)).items())
+    for study in known_studies():
         console.print(f"[bold]{study.name}[/bold]  {study.title}")
         console.print(f"  {study.source}")
-        console.print(f"  references: {', '.join(study.references)}")
-        console.print(f"  claims: {verdicts}  (jaxstage compare {study.name})")
+        if study.references:
+            console.print(f"  references: {', '.join(study.references)}")
+        if study.claims:
+            verdicts = ", ".join(f"{n} {v}" for v, n in count(stored_verdicts(study)).items())
+            console.print(f"  claims: {verdicts}  (jaxstage compare {study.name})")
         table = Table(box=None, show_header=False, padding=(0, 2))
         for entry in study.loops:
             table.add_row(entry.name, entry.summary)

@@ -12,7 +12,7 @@ from rich.table import Table
 from jaxstage.metrics import record, together
 from jaxstage.runtime import cpu_cores
 from jaxstage.settings import nearest_name
-from jaxstage.studies import Comparison, Study, all_studies, with_metric
+from jaxstage.studies import Comparison, Study, known_studies, with_metric
 from jaxstage.studies.claim import count
 from jaxstage.studies.comparison import stored_verdicts
 from jaxstage.studies.experiment import ChartDrawing, RunDrawing
@@ -22,8 +22,8 @@ COLOURS = {"holds": "green", "fails": "red", "unchecked": "dim"}
 
 
 def find_study(name: str) -> Study:
-    """The study called ``name``. Raises ValueError with the nearest known name."""
-    studies = {study.name: study for study in all_studies}
+    """The study with claims called ``name``. Raises ValueError with the nearest known name."""
+    studies = {study.name: study for study in known_studies() if study.claims}
     if name not in studies:
         hint = nearest_name(name, studies)
         raise ValueError(f"unknown study '{name}'{hint}: one of {', '.join(studies)}")

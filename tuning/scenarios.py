@@ -18,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from jaxstage.fields import in_units_of, leaves
 from jaxstage.metrics.table import key as column_name
 from jaxstage.settings import SCENARIO_PARTS, replaced, resolve, with_leaf
-from jaxstage.studies import Case, all_studies
+from jaxstage.studies import Case, known_studies
 from tuning.designs import DESIGNS
 from tuning.distributions import TAIL, Distribution, from_table
 
@@ -86,7 +86,7 @@ def study_spreads(loop: str) -> list[dict[str, Any]]:
     """The spreads of the study that a loop belongs to, as tables of a scenario file."""
     return [
         {"path": s.path, "distribution": "uniform", "low": s.low, "high": s.high}
-        for study in all_studies
+        for study in known_studies()
         if any(entry.name == loop for entry in study.loops)
         for s in study.spreads
     ]

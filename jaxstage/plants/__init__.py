@@ -1,6 +1,7 @@
 """Machines, one file each."""
 
 from jaxstage.plants.parts.friction import CreepingFriction as CreepingFriction
+from jaxstage.plants.parts.friction import FrictionLaw as FrictionLaw
 from jaxstage.plants.parts.lugre import Lugre as Lugre
 from jaxstage.plants.parts.motor import Motor as Motor
 from jaxstage.plants.pmlsm_stage import PmlsmStage as PmlsmStage
@@ -10,6 +11,7 @@ from jaxstage.plants.pmsm_table import PmsmTable as PmsmTable
 from jaxstage.plants.pmsm_table import TableState as TableState
 from jaxstage.plants.pmsm_table import friction_force as friction_force
 from jaxstage.plants.pmsm_table import pmsm_table as pmsm_table
+from jaxstage.plants.pmsm_table import stribeck as stribeck
 from jaxstage.plants.screw_table import ScrewState as ScrewState
 from jaxstage.plants.screw_table import ScrewTable as ScrewTable
 from jaxstage.plants.screw_table import screw_table as screw_table

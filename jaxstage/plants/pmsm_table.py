@@ -23,6 +23,7 @@ from jax import Array
 from jaxstage.blocks import ForceProfile, Plant
 from jaxstage.fields import param, pytree, signal
 from jaxstage.numerics.smooth import DryFriction, play, positive, sticking
+from jaxstage.plants.parts.friction import FrictionLaw
 from jaxstage.signals import Output, Power
 
 N_PER_A = "N/A"
@@ -62,6 +63,10 @@ def dry_limit(params: PmsmTable, velocity: Array) -> Array:
     return params.coulomb + (params.static - params.coulomb) * fading
 
 
+#: The published law, equation (2).
+stribeck = FrictionLaw(name="stribeck", limit=dry_limit)
+
+
 def friction_force(params: PmsmTable, velocity: Array) -> Array:
     """F_f(v), equation (2) without K_v v, in N; velocity in m/s."""
     return dry_limit(params, velocity) * jnp.sign(velocity)
@@ -99,14 +104,21 @@ def stored(params: PmsmTable, state: TableState) -> Array:
 
 
 @functools.cache
-def pmsm_table(axes: tuple[str, ...] = ("x", "y"), friction: DryFriction = sticking) -> Plant:
-    """The table with the named axes; friction `sticking`, or `creeping` as a smooth surrogate."""
+def pmsm_table(
+    axes: tuple[str, ...] = ("x", "y"),
+    friction: DryFriction = sticking,
+    law: FrictionLaw = stribeck,
+) -> Plant:
+    """The table with the named axes; friction `sticking`, or `creeping` as a smooth surrogate.
+
+    law: how large dry friction can be.
+    """
 
     def step(
         params: PmsmTable, state: TableState, applied: Array, force: ForceProfile, dt: float
     ) -> TableState:
         current, free = _driven(params, state, applied, force(0.5), dt)
-        limit = dt * dry_limit(params, state.velocity) / params.mass
+        limit = dt * law.limit(params, state.velocity) / params.mass
         slid = free - friction.held(free, limit)
         velocity = slid / (1 + dt * (params.damping + params.viscous) / params.mass)
         position = state.position + dt * velocity
@@ -128,7 +140,7 @@ def pmsm_table(axes: tuple[str, ...] = ("x", "y"), friction: DryFriction = stick
         velocity = (before.velocity + after.velocity) / 2
         external = force(0.5)
         current, free = _driven(params, before, applied, external, dt)
-        dry = friction.held(free * params.mass / dt, dry_limit(params, before.velocity))
+        dry = friction.held(free * params.mass / dt, law.limit(params, before.velocity))
         viscous = (params.damping + params.viscous) * after.velocity
         copper = params.resistance * applied**2
         mechanical = params.force_constant * current * velocity
@@ -141,7 +153,7 @@ def pmsm_table(axes: tuple[str, ...] = ("x", "y"), friction: DryFriction = stick
         )
 
     return Plant(
-        name=f"pmsm_table[{friction.name}]",
+        name=f"pmsm_table[{law.name}, {friction.name}]",
         axes=axes,
         command_unit="A",
         init=init,

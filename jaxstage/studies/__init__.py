@@ -1,4 +1,4 @@
-"""The published systems: their loops, values and timing."""
+"""The published systems and the user's own: their loops, values and timing."""
 
 import warnings
 
@@ -11,27 +11,45 @@ from jaxstage.studies import fuzzy_cmac as fuzzy_cmac
 from jaxstage.studies import mrac_asmc as mrac_asmc
 from jaxstage.studies.case import Case as Case
 from jaxstage.studies.case import Timing as Timing
+from jaxstage.studies.case import with_figures as with_figures
 from jaxstage.studies.case import with_metric as with_metric
 from jaxstage.studies.comparison import Comparison as Comparison
 from jaxstage.studies.comparison import compare as compare
+from jaxstage.studies.comparison import stored_verdicts as stored_verdicts
+from jaxstage.studies.own import own_studies
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
 from jaxstage.studies.study import NamedLoop as NamedLoop
+from jaxstage.studies.study import Spread as Spread
 from jaxstage.studies.study import Study as Study
 
-#: All studies.
+#: The published studies.
 all_studies: tuple[Study, ...] = (
     fuzzy_cmac.study, adaptive_smc.study, fuzzy_ccc.study, mrac_asmc.study,
 )  # fmt: skip
 
 
+def known_studies() -> tuple[Study, ...]:
+    """The published studies and the user's own, see `own`.
+
+    Raises ValueError for a file that cannot be used, and for a name that two of them give.
+    """
+    studies = (*all_studies, *own_studies())
+    names = [entry.name for study in studies for entry in study.loops]
+    names += [study.name for study in studies]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise ValueError(f"two studies or loops are called {', '.join(sorted(twice))}")
+    return studies
+
+
 def loop_names() -> tuple[str, ...]:
     """The names of all loops of all studies."""
-    return tuple(entry.name for study in all_studies for entry in study.loops)
+    return tuple(entry.name for study in known_studies() for entry in study.loops)
 
 
 def find(name: str) -> NamedLoop:
     """The loop called ``name``. Raises ValueError with the nearest known name."""
-    entries = {entry.name: entry for study in all_studies for entry in study.loops}
+    entries = {entry.name: entry for study in known_studies() for entry in study.loops}
     if name not in entries:
         hint = nearest_name(name, entries)
         raise ValueError(f"unknown loop '{name}'{hint} (`jaxstage list` shows all)")

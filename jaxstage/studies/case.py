@@ -126,3 +126,8 @@ def scored(metric: Metric, ticks: Window) -> Metric:
 def with_metric(case: Case, metric: Metric) -> Case:
     """The case with another metric."""
     return case._replace(loop=replace(case.loop, metric=metric))
+
+
+def with_figures(case: Case, metric: Metric) -> Case:
+    """The case whose scored ticks are judged by another metric, usually ``standard(extra=...)``."""
+    return case._replace(metric=metric, loop=replace(case.loop, metric=scored(metric, case.window)))

@@ -41,5 +41,5 @@ def compare(study: Study, progress: Callable[[str], None] = lambda experiment: N
 
 
 def stored_verdicts(study: Study) -> dict[str, str]:
-    """Claim -> verdict as measured when the study was last changed."""
-    return packaged_toml(study.name, "verdicts.toml")
+    """Claim -> verdict as measured when the study was last changed; empty without claims."""
+    return packaged_toml(study.name, "verdicts.toml") if study.claims else {}

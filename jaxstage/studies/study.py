@@ -55,14 +55,15 @@ class Spread:
 
 @definition
 class Study:
-    """A published system: its source, loops, references, spreads, experiments, claims, drawings."""
+    """A system: its source, loops, references, spreads; what a paper claims of it, the experiments
+    that decide that, and drawings."""
 
     name: str
     title: str
     source: str
     loops: tuple[NamedLoop, ...]
-    references: tuple[str, ...]
-    spreads: tuple[Spread, ...]
-    experiments: tuple[Experiment, ...]
-    claims: tuple[Claim, ...]
-    drawings: tuple[ChartDrawing | RunDrawing, ...]
+    references: tuple[str, ...] = ()
+    spreads: tuple[Spread, ...] = ()
+    experiments: tuple[Experiment, ...] = ()
+    claims: tuple[Claim, ...] = ()
+    drawings: tuple[ChartDrawing | RunDrawing, ...] = ()

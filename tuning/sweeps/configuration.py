@@ -25,6 +25,7 @@ from jaxstage.check import check
 from jaxstage.fields import leaves
 from jaxstage.settings import with_leaf
 from jaxstage.studies import Case, Timing, find
+from jaxstage.studies.own import VARIABLE, file_digest
 from tuning.blocks import with_blocks, with_max_delay
 from tuning.designs import DESIGNS
 from tuning.runs import prepare
@@ -125,8 +126,10 @@ def _loop_table(
     _named_space(case, spreads, file.correlations, source)
     known = {path: value for path, (_, value) in uncertain_leaves(case).items()}
     known |= {path: value for path, _, value in leaves(case.gains, "gains")}
+    own = file_digest(name)
     return {
         "name": name,
+        **({"file_sha256": own} if own else {}),
         "timing": {k: v for k, v in vars(case.timing).items() if v is not None},
         "values": {path: np.asarray(value, float).tolist() for path, value in known.items()},
     }
@@ -176,7 +179,13 @@ def build(text: str) -> Plan:
 
 
 def _case(table: Mapping[str, Any], loop: Mapping[str, Any]) -> Case:
-    case = with_blocks(find(loop["name"]).build(Timing(**loop["timing"])), table["blocks"])
+    entry = find(loop["name"])
+    if loop.get("file_sha256") != file_digest(entry.name):
+        raise ValueError(
+            f"{entry.name}: its file in {VARIABLE} is not the one that the sweep was configured "
+            "with"
+        )
+    case = with_blocks(entry.build(Timing(**loop["timing"])), table["blocks"])
     delay = loop["values"].get("drive.delay", 0.0)
     return with_values(with_max_delay(case, delay), loop["values"])
 

@@ -13,12 +13,24 @@ It creeps in place of sticking: below w the axis feels a damping of F_s / w, and
 is stable only for h F_s / (w M) < 2.8 (fourth order).
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.fields import param, pytree
+from jaxstage.fields import definition, param, pytree
 
 AXES = "(axes,)"
+
+
+@definition
+class FrictionLaw:
+    """How large dry friction can be: ``limit(params, velocity)``, (axes,) N, from the parameters of
+    the machine and the velocity (axes,) in m/s."""
+
+    name: str
+    limit: Callable[[Any, Array], Array]
 
 
 @pytree
