@@ -1,12 +1,13 @@
 """The stage between controller and plant: limits, dead time, current-loop lag."""
 
 import functools
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.blocks import Drive
-from jaxstage.fields import param, pytree, signal
+from jaxstage.fields import param, part, pytree, replace, signal
 from jaxstage.numerics.smooth import clamp
 
 
@@ -73,3 +74,28 @@ def current_drive(max_delay: int = 0) -> Drive:
 
 #: Applies the demand as it is; params ``()``.
 ideal_drive = Drive(name="ideal_drive", init=_ideal_init, apply=_ideal_apply)
+
+
+@pytree
+class Amplified:
+    """Parameters of `amplified`."""
+
+    factor: Array = param("1", "k_u", "what reaches the plant over what was commanded")
+    drive: Any = part("parameters of the drive")
+
+
+@functools.cache
+def amplified(drive: Drive) -> Drive:
+    """A drive whose output is ``factor`` times what it should be, unknown to the law.
+
+    A loop that stays stable at factors 1/g .. g has a gain margin of g.
+    """
+
+    def init(params: Amplified, demand: Array) -> Any:
+        return drive.init(params.drive, demand)
+
+    def apply(params: Amplified, memory: Any, demand: Array, dt: float) -> tuple[Array, Array, Any]:
+        command, applied, after = drive.apply(params.drive, memory, demand, dt)
+        return command, params.factor * applied, after
+
+    return replace(drive, name=f"amplified[{drive.name}]", init=init, apply=apply)

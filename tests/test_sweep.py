@@ -19,10 +19,11 @@ import pytest
 import tomli_w
 from sweeping import REQUEST, sweep_in, table, text
 
+from tuning.folders import digest
 from tuning.scenarios import study_spreads
 from tuning.sweeps import replays, store
 from tuning.sweeps.cluster import local_workers, scheduler_at
-from tuning.sweeps.configuration import build, digest
+from tuning.sweeps.configuration import build
 from tuning.sweeps.sweep import sweep
 
 

@@ -14,13 +14,12 @@ from jaxstage.metrics import tracking
 from tuning import blocks
 from tuning.designs import DESIGNS
 from tuning.distributions import discrete, from_table, lognormal, normal, triangular, uniform
+from tuning.folders import differences, digest
 from tuning.scenarios import batch, draw, longest_delay, space, uncertain_leaves
 from tuning.sweeps.configuration import (
     batch_of,
     build,
     configure_sweep,
-    differences,
-    digest,
     drawn_values,
 )
 

@@ -1,4 +1,4 @@
-"""The command line: ``jaxstage list``, ``run``, ``compare``, ``sweep``, ``replay``, ..."""
+"""The command line: ``jaxstage list``, ``run``, ``compare``, ``tune``, ``sweep``, ..."""
 
 import json
 import os
@@ -10,6 +10,7 @@ import typer
 from typer.exceptions import TyperException
 
 from tuning.sweeps import cli as sweep_cli
+from tuning.tuner import cli as tune_cli
 
 app = typer.Typer(
     add_completion=False,
@@ -192,6 +193,7 @@ def precision(
         print(tomli_w.dumps({name: table}), flush=True)
 
 
+app.command()(tune_cli.tune)
 app.command()(sweep_cli.sweep)
 app.command()(sweep_cli.replay)
 

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +18,9 @@ from jaxstage.signals import Run
 from jaxstage.studies import Case, Timing, all_studies, find, with_metric
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
 from jaxstage.studies.study import NamedLoop
+from tuning.gains_file import NOTES
 from tuning.results import summary, write_settings, write_text
-from tuning.scenario_file import plain_values, with_file_blocks
+from tuning.scenario_file import NOT_VALUES, with_file_blocks
 
 #: settings that belong to the timing, with their types
 TIMING = {
@@ -56,21 +57,26 @@ def prepare(
     gains_file: Path | None = None,
     scenario_file: Path | None = None,
     duration: float | None = None,
+    retimed: Callable[[Timing], Timing] = lambda timing: timing,
 ) -> Prepared:
     """Build a loop and apply files first, then ``NAME=VALUE`` words.
 
-    Raises ValueError in one line for anything unknown, ambiguous or out of range.
+    retimed: changes the timing that the words ask for. Raises ValueError in one line for anything
+    unknown, ambiguous or out of range.
     """
     entry = find(loop)
     given = dict(_word(word) for word in words)
     timing = _timing(entry.timing, {k: v for k, v in given.items() if k in TIMING}, duration)
-    published = case = entry.build(timing)
+    published = case = entry.build(retimed(timing))
     if scenario_file is not None:
         published = case = with_file_blocks(case, scenario_file)
     changed: tuple[str, ...] = ()
-    for file, roots in ((gains_file, ("gains",)), (scenario_file, settings.SCENARIO_PARTS)):
+    for file, roots, others in (
+        (gains_file, ("gains",), NOTES),
+        (scenario_file, settings.SCENARIO_PARTS, NOT_VALUES),
+    ):
         if file is not None:
-            case, paths = _from_file(case, file, roots)
+            case, paths = _from_file(case, file, roots, others)
             changed += paths
     values = {k: _numbers(k, v) for k, v in given.items() if k not in TIMING}
     case, paths = _applied(case, values, tuple(TIMING))
@@ -160,8 +166,12 @@ def _timing(own: Timing, words: Mapping[str, str], duration: float | None) -> Ti
     return replace(own, **values)
 
 
-def _from_file(case: Case, file: Path, roots: tuple[str, ...]) -> tuple[Case, tuple[str, ...]]:
-    values = plain_values(settings.read_toml(file))
+def _from_file(
+    case: Case, file: Path, roots: tuple[str, ...], others: tuple[str, ...]
+) -> tuple[Case, tuple[str, ...]]:
+    """The case with the values of a file. roots: its tables of values; others: not looked at."""
+    content = settings.read_toml(file)
+    values = {name: v for name, v in content.items() if name.partition(".")[0] not in others}
     if "seed" in values and "plant" in roots:
         key = _key(file, values.pop("seed"))
         case = case._replace(scenario=replace(case.scenario, key=key))

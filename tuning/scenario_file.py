@@ -22,7 +22,6 @@
 `jaxstage run` takes the same file and runs its nominal values.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +29,8 @@ from jaxstage.settings import line_of, read_toml
 from jaxstage.studies import Case
 from tuning.blocks import named_blocks, with_blocks, with_max_delay
 
-_OWN = ("blocks", "spread", "correlation")
+#: what is not a nominal value
+NOT_VALUES = ("blocks", "spread", "correlation")
 
 
 class ScenarioFile(NamedTuple):
@@ -51,11 +51,6 @@ def read_scenario(file: Path) -> ScenarioFile:
         if not whole or inner != name:
             raise ValueError(f"{file}:{line_of(file, inner)}: write [[{name}]], a table for each")
     return ScenarioFile(named_blocks(content), tables["spread"], tables["correlation"])
-
-
-def plain_values(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The nominal values in the content of a scenario file."""
-    return {name: value for name, value in content.items() if name.partition(".")[0] not in _OWN}
 
 
 def with_file_blocks(case: Case, file: Path) -> Case:

@@ -131,7 +131,7 @@ def _uncertain(case: Case, table: dict[str, Any], first: int) -> Uncertain:
             "relative = false draws the values themselves"
         )
     unit = in_units_of(quantity, case.loop.plant.command_unit).unit
-    names = [_element(index, nominal.shape, case) for index in np.ndindex(nominal.shape)]
+    names = [element_names(index, nominal.shape, case) for index in np.ndindex(nominal.shape)]
     stem = path.replace(".", "_")
     return Uncertain(
         path=path, distribution=distribution, nominal=nominal, first=first,
@@ -144,7 +144,7 @@ def _uncertain(case: Case, table: dict[str, Any], first: int) -> Uncertain:
 FLAGS = {"relative": True, "shared": False}
 
 
-def _element(index: tuple[int, ...], shape: tuple[int, ...], case: Case) -> tuple[str, ...]:
+def element_names(index: tuple[int, ...], shape: tuple[int, ...], case: Case) -> tuple[str, ...]:
     """The names of an element's indices: of the axes where there are as many, else numbers."""
     axes = case.loop.plant.axes
     return tuple(

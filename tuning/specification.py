@@ -5,8 +5,9 @@ Nothing else is evaluated. A run for which a column that is used has no value do
 """
 
 import ast
+import operator
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,9 @@ _COMPARE = {
     ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal,
     ast.Eq: np.equal, ast.NotEq: np.not_equal,
 }  # fmt: skip
-_COMBINE = {ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide}
+_COMBINE = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+}  # fmt: skip
 _LOGIC = {ast.And: np.logical_and.reduce, ast.Or: np.logical_or.reduce}
 LONGEST = 1000
 
@@ -41,8 +44,9 @@ class Specification(NamedTuple):
         return np.logical_and.reduce([met, *known]) if known else met
 
 
-def parse(text: str, columns: Mapping[str, type]) -> Specification:
-    """A checked specification. columns: name -> float or bool, what may be used.
+def parse(text: str, columns: Mapping[str, type], option: str = "--spec") -> Specification:
+    """A checked specification. columns: name -> float or bool, what may be used. option: where the
+    text was given.
 
     Raises ValueError in one line: what is wrong, and where.
     """
@@ -57,11 +61,11 @@ def parse(text: str, columns: Mapping[str, type]) -> Specification:
         if not names:
             raise ValueError("reads no column")
     except SyntaxError as error:
-        raise ValueError(f"--spec '{shown}': {error.msg} at character {error.offset}") from None
+        raise ValueError(f"{option} '{shown}': {error.msg} at character {error.offset}") from None
     except (RecursionError, MemoryError):
-        raise ValueError(f"--spec '{shown}': too deeply nested") from None
+        raise ValueError(f"{option} '{shown}': too deeply nested") from None
     except ValueError as error:
-        raise ValueError(f"--spec '{shown}': {error}") from None
+        raise ValueError(f"{option} '{shown}': {error}") from None
     return Specification(text.strip(), tuple(names), _limits(tree), tree)
 
 
@@ -113,18 +117,26 @@ def _value(node: ast.expr, columns: Columns) -> np.ndarray:
             return _LOGIC[type(op)]([_value(value, columns) for value in values])
         case ast.UnaryOp(op=ast.Not(), operand=operand):
             return np.logical_not(_value(operand, columns))
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return -_value(operand, columns)
-        case ast.UnaryOp(operand=operand):
-            return _value(operand, columns)
         case ast.Compare(left=left, ops=ops, comparators=others):
-            sides = [_value(side, columns) for side in (left, *others)]
+            sides = [number(side, columns) for side in (left, *others)]
             pairs = zip(ops, sides, sides[1:], strict=False)
             return np.logical_and.reduce([_COMPARE[type(op)](a, b) for op, a, b in pairs])
-        case ast.BinOp(left=left, op=op, right=right):
-            return _COMBINE[type(op)](_value(left, columns), _value(right, columns))
         case ast.Name(id=name):
             return np.asarray(columns[name])
+    raise AssertionError(ast.dump(node))
+
+
+def number(node: ast.expr, columns: Mapping[str, Any]) -> Any:
+    """The value of a checked arithmetic expression; columns may be traced arrays."""
+    match node:
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return -number(operand, columns)
+        case ast.UnaryOp(operand=operand):
+            return number(operand, columns)
+        case ast.BinOp(left=left, op=op, right=right):
+            return _COMBINE[type(op)](number(left, columns), number(right, columns))
+        case ast.Name(id=name):
+            return columns[name]
         case ast.Constant(value=value):
             return np.asarray(value, float)
     raise AssertionError(ast.dump(node))

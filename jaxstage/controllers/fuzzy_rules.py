@@ -8,7 +8,8 @@ import numpy as np
 from jaxstage.controllers.fuzzy_pid_contour import FuzzyPidContour, FuzzyPidMemory
 from jaxstage.controllers.parts.fuzzy import REACH, rules_text
 
-_OUTPUTS = {"proportional": "K_P in 1/s2", "integral": "K_I in 1/s3", "derivative": "K_D in 1/s"}
+#: field of the rules -> what they give
+OUTPUTS = {"proportional": "K_P in 1/s2", "integral": "K_I in 1/s3", "derivative": "K_D in 1/s"}
 
 
 def readable(gains: Any, memory: Any) -> str | None:
@@ -20,6 +21,11 @@ def readable(gains: Any, memory: Any) -> str | None:
     laws, memories = _of(FuzzyPidContour, gains), _of(FuzzyPidMemory, memory)
     found = [_text(law, end) for law, end in zip(laws, memories, strict=True)]
     return "\n\n".join(found) + "\n" if found else None
+
+
+def fuzzy_laws(gains: Any) -> list[FuzzyPidContour]:
+    """The gains of every fuzzy law among those of a controller."""
+    return _of(FuzzyPidContour, gains)
 
 
 def _of(kind: type, tree: Any) -> list[Any]:
@@ -39,7 +45,7 @@ def _text(gains: FuzzyPidContour, memory: FuzzyPidMemory) -> str:
             for name, sets in (("X1", gains.error_sets), ("X2", gains.rate_sets))
         )
     ]
-    for field, output in _OUTPUTS.items():
+    for field, output in OUTPUTS.items():
         for when, rules in (("start", gains.rules), ("end", memory.learned)):
             parts.append(rules_text(getattr(rules, field), f"{output}, at the {when}"))
     return "\n\n".join(parts)

@@ -28,5 +28,6 @@ from jaxstage.metrics.tracking import following as following
 from jaxstage.metrics.tracking import quadrant_glitch as quadrant_glitch
 from jaxstage.metrics.tracking import tracking as tracking
 from jaxstage.metrics.windows import record as record
+from jaxstage.metrics.windows import selected as selected
 from jaxstage.metrics.windows import together as together
 from jaxstage.metrics.windows import windowed as windowed

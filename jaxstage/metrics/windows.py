@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxstage.blocks import Metric
+from jaxstage.fields import replace
 from jaxstage.signals import Sample, Setpoint
 
 
@@ -24,15 +25,32 @@ def together(*metrics: Metric) -> Metric:
         return {m.name: m.init(setpoint) for m in metrics}
 
     def update(acc: dict[str, Any], sample: Sample, dt: float) -> tuple[dict[str, Any], Any]:
-        pairs = {m.name: m.update(acc[m.name], sample, dt) for m in metrics}
+        pairs = {m.name: m.update(acc[m.name], sample, dt) for m in metrics if m.name in acc}
         rows = {name: row for name, (_, row) in pairs.items() if row is not None}
         return {name: after for name, (after, _) in pairs.items()}, rows or None
 
     def finish(acc: dict[str, Any]) -> dict[str, Any]:
-        reports = {m.name: m.finish(acc[m.name]) for m in metrics}
+        reports = {m.name: m.finish(acc[m.name]) for m in metrics if m.name in acc}
         return {name: report for name, report in reports.items() if report is not None}
 
     return Metric(name="together", init=init, update=update, finish=finish)
+
+
+@functools.cache
+def selected(metric: Metric, names: tuple[str, ...]) -> Metric:
+    """Only the named ones of metrics `together`; the others are not computed.
+
+    Raises ValueError, when a run begins, for a name that is not among them.
+    """
+
+    def init(setpoint: Setpoint) -> dict[str, Any]:
+        every = metric.init(setpoint)
+        unknown = sorted(set(names) - set(every))
+        if unknown:
+            raise ValueError(f"no metric is called {unknown[0]}; there are {', '.join(every)}")
+        return {name: every[name] for name in names}
+
+    return replace(metric, init=init)
 
 
 @functools.cache

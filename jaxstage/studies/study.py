@@ -54,9 +54,24 @@ class Spread:
 
 
 @definition
+class Box:
+    """Where a gain is searched when its loop is tuned: low..high, SI.
+
+    path: end of its path among the gains, e.g. ``slope`` or ``extra.scales.rate``; laws without it
+    are not concerned. tied: one number moves all axes. reason: why these ends.
+    """
+
+    path: str
+    low: float
+    high: float
+    reason: str
+    tied: bool = False
+
+
+@definition
 class Study:
-    """A system: its source, loops, references, spreads; what a paper claims of it, the experiments
-    that decide that, and drawings."""
+    """A system: its source, loops, references, spreads, boxes of its gains; what a paper claims of
+    it, the experiments that decide that, and drawings."""
 
     name: str
     title: str
@@ -64,6 +79,7 @@ class Study:
     loops: tuple[NamedLoop, ...]
     references: tuple[str, ...] = ()
     spreads: tuple[Spread, ...] = ()
+    boxes: tuple[Box, ...] = ()
     experiments: tuple[Experiment, ...] = ()
     claims: tuple[Claim, ...] = ()
     drawings: tuple[ChartDrawing | RunDrawing, ...] = ()

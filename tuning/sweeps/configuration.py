@@ -6,7 +6,6 @@ it, and the versions that computed, so that equal text means equal numbers.
 """
 
 import functools
-import hashlib
 import math
 import re
 import tomllib
@@ -15,18 +14,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tomli_w
 
 from jaxstage import __version__
 from jaxstage.batch import spread_axes
 from jaxstage.check import check
-from jaxstage.fields import leaves
-from jaxstage.settings import with_leaf
-from jaxstage.studies import Case, Timing, find
-from jaxstage.studies.own import VARIABLE, file_digest
-from tuning.blocks import with_blocks, with_max_delay
+from jaxstage.studies import Case, find
+from tuning.blocks import with_max_delay
+from tuning.cases import case_of, case_table
 from tuning.designs import DESIGNS
 from tuning.runs import prepare
 from tuning.scenario_file import ScenarioFile, place, read_scenario
@@ -39,7 +35,6 @@ from tuning.scenarios import (
     run_seed,
     space,
     study_spreads,
-    uncertain_leaves,
 )
 
 #: values drawn at once where all are checked before a sweep
@@ -124,15 +119,7 @@ def _loop_table(
     case = prepare(name, list(request.words), gains, request.scenario).case
     source = request.scenario if file.spreads or file.correlations else None
     _named_space(case, spreads, file.correlations, source)
-    known = {path: value for path, (_, value) in uncertain_leaves(case).items()}
-    known |= {path: value for path, _, value in leaves(case.gains, "gains")}
-    own = file_digest(name)
-    return {
-        "name": name,
-        **({"file_sha256": own} if own else {}),
-        "timing": {k: v for k, v in vars(case.timing).items() if v is not None},
-        "values": {path: np.asarray(value, float).tolist() for path, value in known.items()},
-    }
+    return case_table(case)
 
 
 def _named_space(
@@ -167,7 +154,7 @@ def build(text: str) -> Plan:
                 f"the sweep was configured with {name} {table[name]}, here is {version}"
             )
     with jax.enable_x64(table["precision"] == "double"):
-        cases = tuple(_case(table, loop) for loop in table["loop"])
+        cases = tuple(case_of(loop, table["blocks"]) for loop in table["loop"])
     spaces = tuple(space(case, table["spread"], table["correlation"]) for case in cases)
     cases = tuple(
         with_max_delay(case, longest_delay(found))
@@ -176,33 +163,6 @@ def build(text: str) -> Plan:
     _check_design(table, spaces)
     chunks = math.ceil(table["runs"] / table["chunk"])
     return Plan(text, table, cases, spaces, chunks, math.ceil(table["runs"] / chunks))
-
-
-def _case(table: Mapping[str, Any], loop: Mapping[str, Any]) -> Case:
-    entry = find(loop["name"])
-    if loop.get("file_sha256") != file_digest(entry.name):
-        raise ValueError(
-            f"{entry.name}: its file in {VARIABLE} is not the one that the sweep was configured "
-            "with"
-        )
-    case = with_blocks(entry.build(Timing(**loop["timing"])), table["blocks"])
-    delay = loop["values"].get("drive.delay", 0.0)
-    return with_values(with_max_delay(case, delay), loop["values"])
-
-
-def with_values(case: Case, values: Mapping[str, Any]) -> Case:
-    """The case with leaves by full path."""
-    gains, scenario, path = case.gains, case.scenario, case.path
-    for name, value in values.items():
-        root, _, rest = name.partition(".")
-        names, array = rest.split("."), jnp.asarray(value)
-        if root == "gains":
-            gains = with_leaf(gains, names, array)
-        elif root == "reference":
-            path = with_leaf(path, names, array)
-        else:
-            scenario = with_leaf(scenario, [root, *names], array)
-    return case._replace(gains=gains, scenario=scenario, path=path)
 
 
 def _check_design(table: Mapping[str, Any], spaces: tuple[Space, ...]) -> None:
@@ -247,32 +207,3 @@ def batch_of(plan: Plan, loop: int, runs: np.ndarray, values: Mapping[str, np.nd
 def precision_of(text: str) -> str:
     """The precision that a configuration asks for; JAX need not have started."""
     return tomllib.loads(text)["precision"]
-
-
-def digest(text: str) -> str:
-    """The name of a configuration: 16 digits of its SHA-256."""
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def differences(old: str, new: str) -> list[str]:
-    """What differs between two configurations, ``name: old -> new`` each."""
-    before, after = (_flat("", tomllib.loads(text)) for text in (old, new))
-    return [
-        f"{name}: {before.get(name, 'none')} -> {after.get(name, 'none')}"
-        for name in {**before, **after}
-        if before.get(name) != after.get(name)
-    ]
-
-
-def _flat(prefix: str, value: Any) -> dict[str, Any]:
-    """Every number of nested tables by its dotted name; tables in lists by their own name."""
-    if isinstance(value, dict):
-        inner = value.items()
-    elif isinstance(value, list) and value and isinstance(value[0], dict):
-        inner = ((str(v.get("name", v.get("path", i))), v) for i, v in enumerate(value))
-    else:
-        return {prefix: value}
-    flat: dict[str, Any] = {}
-    for name, item in inner:
-        flat |= _flat(f"{prefix}.{name}" if prefix else str(name), item)
-    return flat

@@ -8,9 +8,9 @@ import numpy as np
 from jaxstage import __version__
 from jaxstage.metrics.table import split_key
 from jaxstage.plot import save, sweep
+from tuning.folders import digest
 from tuning.statistics import Comparison
 from tuning.sweeps.analysis import Analysis, LoopResult
-from tuning.sweeps.configuration import digest
 from tuning.sweeps.display import share_text
 
 

@@ -12,12 +12,13 @@ import tomli_w
 from jaxstage.fields import replace
 from jaxstage.settings import nearest_name
 from jaxstage.studies import Case, find
+from tuning.cases import with_values
 from tuning.results import write_text
 from tuning.runs import Prepared, execute
 from tuning.scenarios import run_seed
 from tuning.sweeps import store
 from tuning.sweeps.analysis import choose_metric, worst
-from tuning.sweeps.configuration import Plan, drawn_values, with_values
+from tuning.sweeps.configuration import Plan, drawn_values
 from tuning.sweeps.rows import FLAGS
 from tuning.sweeps.sweep import simulate_rows
 

@@ -7,18 +7,18 @@ A chunk is written beside its place, flushed to the disk and renamed: whatever s
 files are whole. Nothing but this module writes there.
 """
 
-import os
-import tomllib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tuning.sweeps.configuration import Plan, differences, digest
+from tuning import folders
+from tuning.folders import digest
+from tuning.sweeps.configuration import Plan
 
-CONFIGURATION = "sweep.toml"
+KIND = folders.Kind("sweep.toml", "sweep", ("jaxstage", "precision", "runs", "loop"))
 RUNS = "runs"
 
 
@@ -28,54 +28,17 @@ def create(folder: Path, text: str, resume: bool) -> None:
     Raises ValueError for a folder that holds something else, another configuration (with what
     differs), or this one without ``resume``; nothing is touched then.
     """
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        if resume and not folder.exists():
-            raise ValueError(f"--resume: {folder} does not exist")
-        folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / CONFIGURATION, text.encode())
-        return
-    old = read_configuration(folder)
-    if old != text:
-        changed = differences(old, text)
-        more = f" and {len(changed) - 5} more" if len(changed) > 5 else ""
-        raise ValueError(
-            f"{folder} holds a sweep of another configuration; {'; '.join(changed[:5])}{more}"
-        )
-    if not resume:
-        raise ValueError(f"{folder} holds this sweep already: --resume goes on with it")
+    folders.create(folder, KIND, text, resume)
 
 
 def read_configuration(folder: Path) -> str:
     """The configuration of a sweep. Raises ValueError where there is none, or a foreign one."""
-    file = folder / CONFIGURATION
-    if not folder.exists():
-        raise ValueError(f"{folder} does not exist")
-    if not file.is_file():
-        raise ValueError(f"{folder} holds no sweep: there is no {CONFIGURATION}")
-    try:
-        text = file.read_text(encoding="utf-8")
-        table = tomllib.loads(text)
-    except ValueError as error:
-        raise ValueError(f"{file} is no configuration of a sweep: {error}") from None
-    lacking = [name for name in ("jaxstage", "precision", "runs", "loop") if name not in table]
-    if lacking:
-        raise ValueError(f"{file} is no configuration of a sweep: it has no '{lacking[0]}'")
-    return text
+    return folders.read_configuration(folder, KIND)
 
 
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path) -> AbstractContextManager[None]:
     """Keep other processes from sweeping into the folder. Raises ValueError where one does."""
-    with (folder / CONFIGURATION).open("rb") as file:
-        try:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except ImportError:
-            pass  # no such locks on this system
-        except BlockingIOError:
-            raise ValueError(f"another process is sweeping into {folder}") from None
-        yield
+    return folders.locked(folder, KIND, "sweeping")
 
 
 def chunk_file(folder: Path, plan: Plan, index: int) -> Path:
@@ -107,26 +70,7 @@ def write(folder: Path, plan: Plan, index: int, rows: pa.Table) -> None:
     pq.write_table(rows, data, compression="zstd")
     file = chunk_file(folder, plan, index)
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, data.getvalue())
-
-
-def write_whole(file: Path, data: bytes | pa.Buffer) -> None:
-    """Write a file whole or not at all, also when the power fails."""
-    partial = file.with_name(file.name + ".partial")
-    try:
-        with partial.open("wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, file)
-    finally:
-        partial.unlink(missing_ok=True)
-    if os.name == "posix":  # the name is on the disk, too
-        folder = os.open(file.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+    folders.write_whole(file, data.getvalue())
 
 
 def present(folder: Path, plan: Plan) -> list[Path]:

@@ -4,9 +4,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+from tuning.folders import digest
 from tuning.statistics import Interval, Share
 from tuning.sweeps.analysis import WORST, Analysis, LoopResult, worst
-from tuning.sweeps.configuration import digest
 from tuning.sweeps.sensitivity import Indices
 
 

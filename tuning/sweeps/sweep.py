@@ -19,8 +19,9 @@ import pyarrow as pa
 
 from jaxstage.batch import rollouts
 from jaxstage.runtime import configure, cpu_cores
+from tuning.folders import digest
 from tuning.sweeps import store
-from tuning.sweeps.configuration import Plan, batch_of, build, digest, drawn_values
+from tuning.sweeps.configuration import Plan, batch_of, build, drawn_values
 from tuning.sweeps.rows import figure_columns, flag_columns, parameter_columns
 
 #: bytes that the results of one chunk may take before it is refused

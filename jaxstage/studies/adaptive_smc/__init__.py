@@ -3,7 +3,7 @@
 from jaxstage.studies.adaptive_smc.claims import claims
 from jaxstage.studies.adaptive_smc.drawings import drawings
 from jaxstage.studies.adaptive_smc.experiments import experiments
-from jaxstage.studies.adaptive_smc.loops import SPREADS, loops
+from jaxstage.studies.adaptive_smc.loops import BOXES, SPREADS, loops
 from jaxstage.studies.study import Study
 
 study = Study(
@@ -14,6 +14,7 @@ study = Study(
     loops=loops,
     references=("trifolium",),
     spreads=SPREADS,
+    boxes=BOXES,
     experiments=experiments,
     claims=claims,
     drawings=drawings,

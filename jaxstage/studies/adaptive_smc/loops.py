@@ -37,7 +37,7 @@ from jaxstage.references.trifolium import Phase, length
 from jaxstage.sensors import Encoder, encoder, ideal_sensor
 from jaxstage.studies.adaptive_smc import values
 from jaxstage.studies.case import Case, Timing, Window, check_timing, scored, window
-from jaxstage.studies.study import NamedLoop, Spread
+from jaxstage.studies.study import Box, NamedLoop, Spread
 
 #: one run of 20 s as published, figures from 1 s on; the substeps leave four digits
 TIMING = Timing(lap_time=20.0, laps=1, dt=values.DT, substeps=20, skip=1.0)
@@ -245,6 +245,23 @@ SPREADS = tuple(
         ("plant.motor.resistance", 0.9, 1.2, "chosen: winding, with temperature"),
         ("plant.friction.width", 0.7, 1.4, "chosen: grease and preload"),
     )
+)
+
+_SAMPLED = "chosen: below the sampled limit of 2/dt = 400 1/s"
+_AROUND = "chosen: a factor 10 around the value here"
+
+#: where the gains are searched
+BOXES = (
+    Box(path="damping_slope", low=0.1, high=10.0, reason=_AROUND),
+    Box(path="slope", low=4.0, high=160.0, reason=_SAMPLED),
+    Box(path="damping.final", low=1.0, high=50.0, reason=_AROUND),
+    Box(path="reaching.start", low=8.0, high=240.0, reason=_SAMPLED),
+    Box(path="reaching.dead_zone", low=1e-6, high=1e-2, reason="chosen: below and above |s|"),
+    Box(path="reaching.rate", low=1e3, high=1e13, reason="chosen: still to faster than the motion"),
+    Box(path="reaching.cap", low=80.0, high=390.0, reason=_SAMPLED),
+    Box(path="switching_gain", low=1e-5, high=1.0, reason="chosen: below and above the friction"),
+    Box(path="switch.width", low=1e-6, high=1e-2, reason="chosen: sharp to next to none"),
+    Box(path="switch.layer", low=1.0, high=100.0, reason="chosen: dead-beat to next to none"),
 )
 
 _PAIRS = (

@@ -3,7 +3,7 @@
 from jaxstage.studies.fuzzy_ccc.claims import claims
 from jaxstage.studies.fuzzy_ccc.drawings import drawings
 from jaxstage.studies.fuzzy_ccc.experiments import experiments
-from jaxstage.studies.fuzzy_ccc.loops import SPREADS, loops
+from jaxstage.studies.fuzzy_ccc.loops import BOXES, SPREADS, loops
 from jaxstage.studies.study import Study
 
 study = Study(
@@ -13,6 +13,7 @@ study = Study(
     loops=loops,
     references=("helix",),
     spreads=SPREADS,
+    boxes=BOXES,
     experiments=experiments,
     claims=claims,
     drawings=drawings,

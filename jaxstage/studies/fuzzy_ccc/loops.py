@@ -30,7 +30,7 @@ from jaxstage.sensors import ideal_sensor
 from jaxstage.signals import Scenario
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
 from jaxstage.studies.fuzzy_ccc import values
-from jaxstage.studies.study import NamedLoop, Spread, no_notes
+from jaxstage.studies.study import Box, NamedLoop, Spread, no_notes
 
 #: two turns in 10 s, judged as a whole as the paper does; the period is chosen
 TIMING = Timing(lap_time=10.0, laps=1, scored=0, dt=2e-4)
@@ -45,6 +45,31 @@ SPREADS = (
     Spread(path="plant.force_constant", low=0.95, high=1.05, reason=_COMMISSIONED),
     Spread(path="plant.damping", low=0.5, high=1.5, reason=_COMMISSIONED),
     Spread(path="load.amplitude", low=0.5, high=1.5, reason='chosen: "randomly chosen" there'),
+)
+
+_POLES = "chosen: up to a tenth of the sampling rate"
+_AROUND = "chosen: a factor 10 around the value here"
+_BOUNDS = "chosen: the bounds of the adaptation"
+
+#: where the gains are searched
+BOXES = (
+    Box(path="rules.proportional", low=1.0, high=4000.0, reason=_BOUNDS),
+    Box(path="rules.integral", low=1.0, high=20000.0, reason=_BOUNDS),
+    Box(path="rules.derivative", low=0.01, high=40.0, reason=_BOUNDS),
+    Box(path="scales.deviation", low=5e-6, high=5e-4, reason=_AROUND),
+    Box(path="scales.rate", low=2e-4, high=2e-2, reason=_AROUND),
+    Box(path="scales.integral", low=5e-7, high=5e-5, reason=_AROUND),
+    Box(path="adaptation.slope", low=3.0, high=300.0, reason=_AROUND),
+    Box(path="adaptation.proportional_rate", low=40.0, high=4e5, reason="chosen: still to fast"),
+    Box(path="adaptation.integral_rate", low=20.0, high=2e5, reason="chosen: still to fast"),
+    Box(path="adaptation.derivative_rate", low=0.4, high=4e3, reason="chosen: still to fast"),
+    Box(path="slope", low=1.0, high=300.0, reason=_POLES),
+    Box(path="switch.width", low=2e-4, high=5e-2, reason="chosen: sharp to next to none"),
+    Box(path="disturbance_gain", low=2.5e4, high=2.5e6, reason=_AROUND),
+    Box(path="velocity_gain", low=100.0, high=3000.0, reason=_POLES),
+    Box(path="proportional_gain", low=100.0, high=1e5, reason="chosen: weak to stiff"),
+    Box(path="integral_gain", low=50.0, high=5e5, reason="chosen: weak to stiff"),
+    Box(path="derivative_gain", low=1.0, high=1000.0, reason=_POLES),
 )
 
 

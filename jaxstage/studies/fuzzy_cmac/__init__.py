@@ -3,7 +3,7 @@
 from jaxstage.studies.fuzzy_cmac.claims import claims
 from jaxstage.studies.fuzzy_cmac.drawings import drawings
 from jaxstage.studies.fuzzy_cmac.experiments import experiments
-from jaxstage.studies.fuzzy_cmac.loops import CONTOURS, SPREADS, loops
+from jaxstage.studies.fuzzy_cmac.loops import BOXES, CONTOURS, SPREADS, loops
 from jaxstage.studies.study import Study
 
 study = Study(
@@ -13,6 +13,7 @@ study = Study(
     loops=loops,
     references=tuple(CONTOURS),
     spreads=SPREADS,
+    boxes=BOXES,
     experiments=experiments,
     claims=claims,
     drawings=drawings,

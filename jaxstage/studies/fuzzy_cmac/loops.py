@@ -41,7 +41,7 @@ from jaxstage.references.timing import constant_feed, uniform_parameter
 from jaxstage.sensors import ideal_sensor
 from jaxstage.signals import Scenario, Start
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
-from jaxstage.studies.study import NamedLoop, Spread
+from jaxstage.studies.study import Box, NamedLoop, Spread
 
 #: following error beyond which a run counts as lost; the contours are about 60 mm wide (chosen)
 PATH_LIMIT = 0.1
@@ -91,6 +91,28 @@ SPREADS = (
     Spread(path="plant.coulomb", low=0.8, high=1.1, reason=_DRY),
     Spread(path="plant.static", low=0.9, high=1.2, reason=_DRY),
     Spread(path="plant.load", low=0.5, high=1.5, reason="chosen: cables and covers"),
+)
+
+
+_POLES = "chosen: up to a tenth of the sampling rate"
+_AROUND = "chosen: a factor 10 around the value here"
+
+#: where the gains are searched
+BOXES = (
+    Box(path="slope", low=0.1, high=1000.0, reason=_POLES),
+    Box(path="rate", low=0.1, high=1000.0, reason="chosen: sampled, the law is unstable near 1100"),
+    Box(path="switching_gain", low=1e-3, high=10.0, reason="chosen: friction is 80 m/s2"),
+    Box(path="error_width", low=5e-4, high=5e-2, reason=_AROUND),
+    Box(path="rate_width", low=5e-3, high=0.5, reason=_AROUND),
+    Box(path="receptive.width", low=0.3, high=3.0, reason="chosen: fields that overlap"),
+    Box(path="proportional_gain", low=60.0, high=6.0e5, reason="chosen: that of the CMAC"),
+    Box(path="position_gain", low=6.0, high=3000.0, reason=_POLES),
+    Box(path="velocity_gain", low=40.0, high=1.0e4, reason=_POLES),
+    Box(path="integral_gain", low=1.0e4, high=1.0e7, reason=_AROUND),
+    Box(path="velocity_feedforward", low=0.5, high=1.5, reason="chosen: around full"),
+    Box(path="acceleration_feedforward", low=0.5, high=1.5, reason="chosen: around full"),
+    Box(path="friction_feedforward", low=0.1, high=1.5, reason="chosen: none to too much"),
+    Box(path="load_feedforward", low=0.5, high=1.5, reason="chosen: around full"),
 )
 
 

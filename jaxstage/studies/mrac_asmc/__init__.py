@@ -3,7 +3,7 @@
 from jaxstage.studies.mrac_asmc.claims import claims
 from jaxstage.studies.mrac_asmc.drawings import drawings
 from jaxstage.studies.mrac_asmc.experiments import experiments
-from jaxstage.studies.mrac_asmc.loops import SPREADS
+from jaxstage.studies.mrac_asmc.loops import BOXES, SPREADS
 from jaxstage.studies.mrac_asmc.loops import loops as every_loop
 from jaxstage.studies.study import Study
 
@@ -14,6 +14,7 @@ study = Study(
     loops=every_loop,
     references=("to and fro", "step"),
     spreads=SPREADS,
+    boxes=BOXES,
     experiments=experiments,
     claims=claims,
     drawings=drawings,

@@ -40,7 +40,7 @@ from jaxstage.references import swing, swinging
 from jaxstage.sensors import encoder, ideal_sensor, motor_side
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
 from jaxstage.studies.mrac_asmc import values
-from jaxstage.studies.study import NamedLoop, Recorded, Spread
+from jaxstage.studies.study import Box, NamedLoop, Recorded, Spread
 
 #: following error beyond which a run counts as lost: five strokes (chosen)
 PATH_LIMIT = 0.01
@@ -66,6 +66,22 @@ SPREADS = (
     Spread(path="plant.friction.coulomb", low=0.7, high=1.3, reason=_DRY),
     Spread(path="plant.friction.static", low=0.9, high=1.3, reason=_DRY),
     Spread(path="plant.friction.viscous", low=0.5, high=1.5, reason=_DRY),
+)
+
+_POLES = "chosen: up to a tenth of the sampling rate"
+_AROUND = "chosen: a factor 10 around the value here"
+
+#: where the gains are searched
+BOXES = (
+    Box(path="slope", low=10.0, high=1000.0, reason="chosen: c T stays below one half"),
+    Box(path="switching_gain", low=1e-3, high=5.0, reason="chosen: far below and above friction"),
+    Box(path="sharpness", low=5e2, high=5e5, reason=_AROUND),
+    Box(path="switch.width", low=1e-5, high=1e-1, reason="chosen: sharp to next to none"),
+    Box(path="switch.layer", low=1.0, high=100.0, reason="chosen: dead-beat to next to none"),
+    Box(path="position_gain", low=6.0, high=200.0, reason=_POLES),
+    Box(path="velocity_gain", low=40.0, high=1000.0, reason=_POLES),
+    Box(path="integral_gain", low=800.0, high=8e4, reason=_AROUND),
+    Box(path="velocity_feedforward", low=0.5, high=1.5, reason="chosen: around full"),
 )
 
 

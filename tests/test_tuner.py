@@ -1,0 +1,260 @@
+"""The tuner's core on a small problem: figures, derivatives, goals, barrier, methods, resuming."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxstage as js
+from jaxstage.metrics import selected
+from tuning.scenarios import draw, space, study_spreads
+from tuning.tuner import problem as problems
+from tuning.tuner.cma import cma_es
+from tuning.tuner.figures import available
+from tuning.tuner.first_order import first_order
+from tuning.tuner.gradient_check import gradient_check, judged
+from tuning.tuner.groups import make_group
+from tuning.tuner.lbfgs import lbfgs
+from tuning.tuner.levenberg_marquardt import levenberg_marquardt
+from tuning.tuner.objective import LOST, Term, cvar, mean, parse_goals, worst
+from tuning.tuner.prices import Prices
+from tuning.tuner.problem import curvatures, evaluate, make_problem, slopes, with_weights
+from tuning.tuner.random_search import random_search
+from tuning.tuner.space import Search, search_space
+from tuning.tuner.tune import tune
+
+pytestmark = pytest.mark.long
+
+TICKS, RUNS = 300, 3
+PRICES = Prices(gradient=4.0, curvature=5.0, unit_s=1e-3)
+TERMS = (Term("contour_rms_um"), Term("energy_copper_J", 0.1), Term("command_change_rms_A", 0.1))
+
+
+@functools.cache
+def case():
+    """The DFCMAC on a fast circle, which it follows badly."""
+    return js.build("dfcmac-circle", js.Timing(lap_time=0.5, duration=TICKS * 1e-4, scored=0))
+
+
+@functools.cache
+def group(margin=0.0):
+    spreads = [s for s in study_spreads("dfcmac-circle") if s["path"] != "plant.coulomb"]
+    values = draw(space(case(), spreads, ()), "random", 1, RUNS, 0, RUNS)
+    return make_group("circle", case(), values, np.arange(RUNS), margin)
+
+
+@functools.cache
+def searched():
+    return search_space(case(), (Search("c1"), Search("r1", 0.1, 1000.0, tied=True)))
+
+
+@functools.cache
+def problem():
+    return make_problem(searched(), (group(0.25),), TERMS, width=4)
+
+
+Z = np.array([0.3, -0.2, 0.1])
+
+
+# --- figures and objective -----------------------------------------------------------------
+
+
+def test_figures_are_those_of_single_runs():
+    """All that is evaluated in one batch, against `simulate` on the same plants."""
+    found = evaluate(problem(), np.stack([searched().start(), Z]))
+    own = group(0.25)
+    loop = js.replace(own.case.loop, metric=own.case.metric)
+    for run in (1, RUNS + 1):  # a plant, and the first one with more gain
+        axes = own.batch.in_axes[1]
+        spread = jax.tree.map(lambda a, x: a is not None, axes, own.batch.scenario,
+                              is_leaf=lambda a: a is None)  # fmt: skip
+        scenario = jax.tree.map(lambda s, x, r=run: x[r] if s else x, spread, own.batch.scenario)
+        gains = searched().gains_of(jnp.asarray(Z))
+        report = js.simulate(loop, gains, scenario, own.case.path, TICKS).report
+        columns = js.columns(report, loop.plant)
+        assert found.columns["contour_rms_um"][1, run] == pytest.approx(
+            columns["contour_rms_um"], rel=1e-9
+        )
+        assert found.columns["energy_copper_J"][1, run] == pytest.approx(
+            columns["energy_copper_J"], rel=1e-9
+        )
+
+
+def test_the_objective_is_the_sum_of_its_terms():
+    found = evaluate(problem(), Z[None])
+    before = problem().before
+    assert before is not None and before.objective[0] == pytest.approx(1.0)
+    parts = [
+        t.weight * (found.columns[t.column] / scale) ** 2
+        for t, scale in zip(TERMS, problem().scales, strict=True)
+    ]
+    costs = sum(parts) / sum(t.weight for t in TERMS)
+    np.testing.assert_allclose(found.costs, costs, rtol=1e-10)
+    np.testing.assert_allclose(found.objective, np.mean(costs, axis=1), rtol=1e-10)
+
+
+def test_derivatives_agree():
+    """Reverse and forward mode, the curvature's per-run gradients, and differences."""
+    reverse, forward = slopes(problem(), Z[None]), curvatures(problem(), Z[None])
+    scale = np.max(np.abs(forward.gradient))
+    np.testing.assert_allclose(reverse.gradient, forward.gradient, atol=1e-9 * scale)
+    np.testing.assert_allclose(forward.of_runs.mean(axis=1), forward.gradient, atol=1e-9 * scale)
+    check = gradient_check(problem(), Z, known=forward)
+    assert check.ok and check.non_finite == 0 and np.max(check.error) < 0.02
+    matrix = forward.gauss_newton[0]
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-9 * np.max(matrix))
+    assert np.linalg.eigvalsh(matrix)[0] > -1e-9 * np.max(matrix)
+
+
+def test_a_wrong_gradient_fails_the_check():
+    slope = np.array([[1.0, 2.0], [0.5, -1.0], [0.2, 0.3], [1.0, 1.0]])
+    runs = ("a", "b", "c", "d")
+    assert judged(runs, slope, [slope * 1.1, slope]).ok
+    assert not judged(runs, slope, [-slope, 0 * slope]).ok
+    assert not judged(runs, np.where(slope == 0.5, np.nan, slope), [slope]).ok
+
+
+def test_lost_runs_order_candidates():
+    """Later is better, nothing is NaN, and the slope of a lost run is none."""
+    loop = js.replace(case().loop, path_limit=1e-3)
+    own = make_group("tight", case()._replace(loop=loop), {}, np.arange(1))
+    weak = search_space(case(), (Search("r1", 1e-9, 1000.0, tied=True),))
+    scaled = tuple(t._replace(scale=1.0) for t in TERMS[:1])
+    tight = make_problem(weak, (own,), scaled, width=4)
+    found = evaluate(tight, np.array([[-6.3], [-4.6], [-4.2], [0.0]]))
+    lost = found.lost_at_s[:, 0]
+    assert np.all(lost[:-1] > 0) and len(set(lost[:-1])) == 3
+    assert np.all(np.isfinite(found.objective)) and np.all(found.objective[:-1] >= LOST)
+    assert np.all(np.diff(found.objective[:-1]) < 0) and np.all(np.diff(lost[:-1]) > 0)
+    assert np.isnan(lost[-1]) and found.objective[-1] < LOST
+    assert np.isinf(found.violation[0]) and found.violation[-1] == -1
+    with pytest.raises(ValueError, match=r"1 of 1 training runs are lost, the first, tight 0, at"):
+        start = case()._replace(gains=weak.gains_of(jnp.asarray([-14.0])))
+        space_of_lost = search_space(start, (Search("r1", 1e-9, 1000.0, tied=True),))
+        make_problem(space_of_lost, (own,), TERMS[:1], width=4)
+
+
+@pytest.mark.fast
+def test_risk_weights():
+    costs = jnp.array([[1.0, 4.0, 2.0, 3.0], [5.0, 1.0, 1.5, 1.2]])
+    shares = jnp.full(4, 0.25)
+    np.testing.assert_allclose(mean.weights(costs, shares), np.full((2, 4), 0.25))
+    np.testing.assert_allclose(worst.weights(costs, shares), [[0, 1, 0, 0], [1, 0, 0, 0]])
+    np.testing.assert_allclose(
+        cvar(0.5).weights(costs, shares), [[0, 0.5, 0, 0.5], [0.5, 0, 0.5, 0]]
+    )
+    part = cvar(0.3).weights(costs, shares)
+    np.testing.assert_allclose(part, [[0, 5 / 6, 0, 1 / 6], [5 / 6, 0, 1 / 6, 0]])
+    with pytest.raises(ValueError, match="cvar share = 0: must be in"):
+        cvar(0)
+
+
+@pytest.mark.fast
+def test_goals_say_by_how_much_they_are_missed():
+    columns = {"a_um": np.array([10.0, 30.0]), "b": np.array([1.0, 2.0])}
+    low, high = parse_goals("5 < a_um <= 20", columns)
+    np.testing.assert_allclose(low.violation(columns), [-1.0, -5.0])
+    np.testing.assert_allclose(high.violation(columns), [-0.5, 0.5])
+    (both,) = parse_goals("a_um / 10 < b + 1", columns)
+    np.testing.assert_allclose(both.violation(columns), [-1 / 3, 0.0])
+    assert parse_goals("a_um < 20 and b > 3", columns)[1].names == ("b",)
+    for text, told in (
+        ("a_um < 20 or b < 1", "must be a comparison by"),
+        ("a_um == 20", "must be a comparison by"),
+        ("a_um + 1", "is a number: compare it"),
+        ("c < 1", "unknown column 'c'"),
+    ):
+        with pytest.raises(ValueError, match=told) as error:
+            parse_goals(text, columns)
+        assert str(error.value).startswith("--goal '") and "\n" not in str(error.value)
+
+
+def test_a_start_has_weights_of_its_own():
+    """The rows of a trade-off share one program."""
+    both = with_weights(problem(), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+    found = evaluate(both, np.stack([Z, Z]), np.arange(2))
+    ratio = found.columns["contour_rms_um"][0] / both.scales[0]
+    assert found.objective[0] == pytest.approx(np.mean(ratio**2))
+    drawn = found.columns["energy_copper_J"][1] / both.scales[1]
+    assert found.objective[1] == pytest.approx(np.mean(drawn**2))
+    with pytest.raises(ValueError, match=r"weights must be \(starts, 3\)"):
+        with_weights(problem(), np.ones((2, 2)))
+
+
+def test_what_a_problem_refuses():
+    parts = (searched(), (group(0.25),))
+    for terms, told in (
+        ((), "at least one term"),
+        ((Term("contour_rms_nm"),), "unknown column 'contour_rms_nm'; did you mean"),
+        ((Term("contour_rms_um", -1.0),), "weight = -1 of contour_rms_um"),
+        ((Term("contour_rms_um", scale=0.0),), "scale = 0 of contour_rms_um"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            make_problem(*parts, terms)
+    with pytest.raises(ValueError, match=r"margin = 1: must be in 0\.\.1"):
+        make_group("g", case(), {}, np.arange(1), margin=1.0)
+    assert {"growth", "contour_smooth_max_um", "command_change_rms_A"} < set(available(case()))
+
+
+# --- methods -------------------------------------------------------------------------------
+
+
+def tuned(method, budget=60.0, **more):
+    return tune(problem(), method, budget=budget, prices=PRICES, **more)
+
+
+def test_every_method_improves_and_says_what_it_spent():
+    for method in (
+        levenberg_marquardt(), lbfgs(), first_order(), cma_es(), random_search(batch=8),
+    ):  # fmt: skip
+        found = tuned(method)
+        assert found.before == pytest.approx(1.0) and found.after < 0.97, method.name
+        assert found.feasible and found.method == method.name
+        steps = found.history
+        assert steps[-1].units == pytest.approx(found.units) and found.units >= 60.0
+        assert all(a.best >= b.best for a, b in zip(steps, steps[1:], strict=False))
+        again = evaluate(problem(), found.z[None]).objective[0]
+        assert again == pytest.approx(found.after, rel=1e-9)
+
+
+def test_the_method_is_chosen_by_size_and_check():
+    found = tuned(None, budget=40.0)
+    assert found.method == "lm" and found.check is not None and found.check.ok
+    assert found.after < 0.97
+
+
+def test_a_stopped_tuning_ends_the_same(tmp_path):
+    """Half of the evaluations are lost, and a file is cut off: the rest is done again."""
+    whole = tuned(levenberg_marquardt(), journal=tmp_path, starts=2, seed=3)
+    files = sorted(tmp_path.glob("*.npz"))
+    assert len(files) > 6
+    for file in files[len(files) // 2 + 1 :]:
+        file.unlink()
+    cut = files[len(files) // 2]
+    cut.write_bytes(cut.read_bytes()[:100])
+    again = tuned(levenberg_marquardt(), journal=tmp_path, starts=2, seed=3)
+    assert np.array_equal(whole.z, again.z) and whole.after == again.after
+    assert [p.best for p in whole.history] == [p.best for p in again.history]
+    assert sorted(tmp_path.glob("*.npz")) == files
+    with pytest.raises(ValueError, match="holds the evaluations of another tuning"):
+        tuned(levenberg_marquardt(), journal=tmp_path, starts=2, seed=4)
+
+
+def test_goals_are_met_before_anything_else():
+    """Least contour error among what moves the command by less than 30 mA a period."""
+    goals = parse_goals("command_change_rms_A < 0.03", available(case()))
+    bound = make_problem(searched(), (group(0.25),), TERMS[:1], goals, width=4)
+    found = tune(bound, levenberg_marquardt(), budget=80.0, prices=PRICES)
+    assert found.feasible and found.after < 0.5
+    change = evaluate(problem(), found.z[None]).columns["command_change_rms_A"]
+    assert 0.027 < np.max(change) < 0.03, "the goal is what stops it"
+
+
+def test_only_the_metrics_that_are_asked_for_run():
+    one = selected(case().metric, ("contour",))
+    first = jax.tree.map(lambda r: r[0], case().path.setpoint)
+    assert set(one.init(first)) == {"contour"} == set(one.finish(one.init(first)))
+    with pytest.raises(ValueError, match="no metric is called conture; there are"):
+        selected(case().metric, ("conture",)).init(first)

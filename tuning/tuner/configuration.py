@@ -1,0 +1,245 @@
+"""The configuration of a tuning: one table that says everything the tuned gains depend on.
+
+It is plain data, written as TOML. A folder keeps it, and equal text means equal gains: loop, gains
+before, what is searched and where, objective, goals, training and held-out runs, method, budget,
+seed and the versions that compute.
+"""
+
+import functools
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import tomli_w
+
+from jaxstage import __version__
+from jaxstage.metrics.table import key
+from jaxstage.settings import nearest_name
+from jaxstage.studies import Case
+from tuning.cases import case_of, case_table
+from tuning.folders import Kind
+from tuning.runs import prepare
+from tuning.scenario_file import read_scenario
+from tuning.tuner.figures import available
+from tuning.tuner.objective import RISKS, Goal, Term, parse_goals
+from tuning.tuner.options import (
+    default_objective,
+    parse_gains,
+    parse_objective,
+    search_of,
+)
+from tuning.tuner.problem import WIDTH, Group, Problem, make_group, make_problem
+from tuning.tuner.sets import MOST_RUNS, Series, Wanted, scenarios, series, set_table
+from tuning.tuner.space import SearchSpace, default_searches, search_space
+from tuning.tuner.training import Asked, apart, read_sets, spreads_of
+from tuning.tuner.tune import METHODS
+
+KIND = Kind("tune.toml", "tuning", ("jaxstage", "loop"))
+#: plants among which the worst are looked for
+POOL = 64
+#: added to the seed of the training plants: for those that progress is shown on, and for pools
+FRESH_SEED, POOL_SEED = 2_000_003, 3_000_017
+#: the method is chosen by the number of parameters and the gradient check
+AUTO = "auto"
+
+
+class Request(NamedTuple):
+    """What the user asked for. gains: words of ``--gains``; objective, goals: texts."""
+
+    loop: str
+    words: tuple[str, ...] = ()
+    gains: tuple[str, ...] = ()
+    scenario: Path | None = None
+    objective: str | None = None
+    goals: tuple[str, ...] = ()
+    risk: str = "mean"
+    margin: float = 0.0
+    train: Path | None = None
+    method: str = AUTO
+    starts: int = 2
+    budget: float = 200.0
+    worst_case: int = 0
+    seed: int = 0
+
+
+class Plan(NamedTuple):
+    """A configuration, built, but for the runs: those are made where they are needed.
+
+    case: of the loop with its own timing. terms, goals: what matters.
+    """
+
+    text: str
+    table: dict[str, Any]
+    case: Case
+    space: SearchSpace
+    terms: tuple[Term, ...]
+    goals: tuple[Goal, ...]
+
+    @property
+    def blocks(self) -> Mapping[str, Any]:
+        """Part of the scenario -> name of the block that was added."""
+        return self.table["blocks"]
+
+    @property
+    def figure(self) -> str:
+        """The column that gains are judged by: the first of the objective."""
+        return self.terms[0].column
+
+
+def configure_tuning(request: Request) -> str:
+    """The configuration as text, everything in it checked but the runs themselves.
+
+    Raises ValueError in one line for anything unknown, impossible or out of range.
+    """
+    _check_numbers(request)
+    asked_gains = parse_gains(request.gains)
+    prepared = prepare(request.loop, list(request.words), asked_gains.file, request.scenario)
+    spreads, correlations = spreads_of(request.loop, request.scenario)
+    asked = Asked(
+        request.loop, request.words, asked_gains.file, request.scenario, tuple(spreads),
+        tuple(correlations), request.seed,
+    )  # fmt: skip
+    sets = read_sets(request.train, asked)
+    apart(sets)
+    trained = _named_set("train", sets.train, asked)
+    case = case_of(trained["case"][0], _blocks(request.scenario))
+    columns = available(case)
+    unit = key("", case.loop.plant.command_unit).removeprefix("_")
+    objective = request.objective or default_objective(columns, unit)
+    parse_objective(objective, columns)
+    for goal in request.goals:
+        parse_goals(goal, columns)
+    searches = asked_gains.searches or _default_searches(prepared.case)
+    search_space(prepared.case, [search_of(dict(one)) for one in searches])
+    held_out = _named_set("held_out", sets.held_out, asked)
+    return tomli_w.dumps({
+        "jaxstage": __version__,
+        "jax": jax.__version__,
+        "loop": request.loop,
+        "method": request.method,
+        "starts": request.starts,
+        "budget": float(request.budget),
+        "seed": request.seed,
+        "worst_case": request.worst_case,
+        "objective": objective,
+        "goal": list(request.goals),
+        "risk": request.risk,
+        "margin": float(request.margin),
+        "blocks": dict(_blocks(request.scenario)),
+        "search": list(searches),
+        "case": case_table(prepared.case),
+        "train": trained,
+        "held_out": held_out,
+    })  # fmt: skip
+
+
+def _check_numbers(request: Request) -> None:
+    if request.method not in (AUTO, *METHODS):
+        hint = nearest_name(request.method, METHODS)
+        known = ", ".join((AUTO, *METHODS))
+        raise ValueError(f"--method {request.method}{hint}: must be one of {known}")
+    if request.risk not in RISKS:
+        raise ValueError(f"--risk {request.risk}: must be one of {', '.join(RISKS)}")
+    if not 0 <= request.margin < 1:
+        raise ValueError(f"--margin {request.margin:g}: must be in 0..1")
+    if not 1 <= request.budget <= 1e6:
+        raise ValueError(f"--budget {request.budget:g}: must be 1..1e6 units")
+    if not 0 <= request.seed < 2**32:
+        raise ValueError(f"--seed {request.seed}: must be 0..{2**32 - 1}")
+    for name, value, least, most in (
+        ("--starts", request.starts, 1, 64),
+        ("--worst-case", request.worst_case, 0, 20),
+    ):
+        if not least <= value <= most:
+            raise ValueError(f"{name} {value}: must be {least}..{most}")
+
+
+def _blocks(scenario: Path | None) -> Mapping[str, Any]:
+    return read_scenario(scenario).blocks if scenario else {}
+
+
+def _named_set(name: str, wanted: Wanted, asked: Asked) -> dict[str, Any]:
+    """The table of a set; an error says of which."""
+    try:
+        table = set_table(wanted, asked.gains, asked.scenario)
+    except ValueError as error:
+        raise ValueError(f"[{name}] {error}") from None
+    if scenarios(table) > MOST_RUNS:
+        raise ValueError(f"[{name}] {scenarios(table)} runs: must be <= {MOST_RUNS}")
+    return table
+
+
+def _default_searches(case: Case) -> list[dict[str, Any]]:
+    found = []
+    for search in default_searches(case):
+        table = {k: v for k, v in search._asdict().items() if v is not None and v is not False}
+        if search.transform is not None:
+            table["transform"] = search.transform.name
+        found.append(table)
+    return found
+
+
+@functools.lru_cache(maxsize=2)
+def build(text: str) -> Plan:
+    """The plan of a configuration. Raises ValueError for one of another version."""
+    table = tomllib.loads(text)
+    for name, version in (("jaxstage", __version__), ("jax", jax.__version__)):
+        if table[name] != version:
+            raise ValueError(f"this was tuned with {name} {table[name]}, here is {version}")
+    case = case_of(table["case"], table["blocks"])
+    columns = available(case)
+    return Plan(
+        text=text,
+        table=table,
+        case=case,
+        space=search_space(case, [search_of(one) for one in table["search"]]),
+        terms=parse_objective(table["objective"], columns),
+        goals=tuple(goal for one in table["goal"] for goal in parse_goals(one, columns)),
+    )
+
+
+def runs_of(plan: Plan, name: str) -> list[Series]:
+    """The runs of a set: ``train`` or ``held_out``."""
+    return series(plan.table[name], plan.blocks)
+
+
+def fresh_runs(plan: Plan) -> list[Series]:
+    """Training runs on other plants: what progress is shown on, and used for nothing."""
+    return series(_other_plants(plan, FRESH_SEED), plan.blocks)
+
+
+def pool(plan: Plan, number: int) -> list[Series]:
+    """Training runs on `POOL` plants among which the worst are looked for. number: of the pool."""
+    table = _other_plants(plan, POOL_SEED + number)
+    return series({**table, "plants": POOL, "nominal": False, "noise_seeds": 1}, plan.blocks)
+
+
+def _other_plants(plan: Plan, apart: int) -> dict[str, Any]:
+    train = plan.table["train"]
+    return {**train, "seed": (train["seed"] + apart) % 2**32}
+
+
+def groups_of(plan: Plan, every: list[Series]) -> list[Group]:
+    """Runs as `make_problem` takes them, with the stability margin that was asked for."""
+    return [
+        make_group(one.case.name, one.case, one.values, one.seeds, plan.table["margin"])
+        for one in every
+    ]
+
+
+def problem_of(
+    plan: Plan, groups: list[Group], like: Problem | None = None, width: int = WIDTH
+) -> Problem:
+    """The tuning problem on some training runs.
+
+    like: takes over its scales, so that objectives can be compared. width: candidates at once.
+    Raises ValueError where the gains before fail.
+    """
+    terms = plan.terms
+    if like is not None:
+        scales = map(float, like.scales)
+        terms = tuple(t._replace(scale=s) for t, s in zip(terms, scales, strict=True))
+    risk = RISKS[plan.table["risk"]]()
+    return make_problem(plan.space, groups, terms, plan.goals, risk, width)

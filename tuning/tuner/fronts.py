@@ -1,0 +1,86 @@
+"""Trade-offs: which points no other one beats, how much of the plane they command, where to stand.
+
+All objectives are to be small. A point with an objective that is not finite, such as a lost run, is
+beaten by every other one.
+"""
+
+import math
+
+import numpy as np
+
+
+def non_dominated(points: np.ndarray) -> np.ndarray:
+    """Which points (n, m) no other one beats: (n,) bool.
+
+    One beats another if it is nowhere larger and somewhere smaller. Of equal points the first
+    stays.
+    """
+    kept = np.isfinite(points).all(axis=1)
+    for i in np.flatnonzero(kept):
+        others = points[kept]
+        beaten = np.all(others <= points[i], axis=1) & np.any(others < points[i], axis=1)
+        twin = kept[:i] & np.all(points[:i] == points[i], axis=1)
+        kept[i] = not (beaten.any() or twin.any())
+    return kept
+
+
+def hypervolume(points: np.ndarray, reference: np.ndarray) -> float:
+    """Volume between the points (n, m) and a reference point (m,) that is worse than they are.
+
+    What lies beyond the reference counts nothing. By slices along the last objective: exact, and
+    meant for few objectives and some hundred points.
+    """
+    inside = points[np.isfinite(points).all(axis=1) & np.all(points < reference, axis=1)]
+    if not len(inside):
+        return 0.0
+    if inside.shape[1] == 1:
+        return float(reference[0] - inside.min())
+    order = np.argsort(inside[:, -1], kind="stable")
+    inside = inside[order]
+    heights = np.append(inside[1:, -1], reference[-1]) - inside[:, -1]
+    slices = (
+        height * hypervolume(inside[: i + 1, :-1], reference[:-1])
+        for i, height in enumerate(heights)
+        if height > 0
+    )
+    return math.fsum(slices)
+
+
+def normalised(points: np.ndarray) -> np.ndarray:
+    """Points (n, m) with the least of each objective at 0 and the largest at 1.
+
+    An objective that does not vary is 0.
+    """
+    low, span = points.min(axis=0), np.ptp(points, axis=0)
+    return (points - low) / np.where(span > 0, span, 1.0)
+
+
+def knee(points: np.ndarray) -> int:
+    """The suggested compromise of a front (n, m): the point nearest to the best of all objectives,
+    each measured in its own range over the front.
+
+    Raises ValueError for no points.
+    """
+    if not len(points):
+        raise ValueError("no point is left to suggest: all were lost")
+    return int(np.argmin(np.linalg.norm(normalised(points), axis=1)))
+
+
+def weights(objectives: int, steps: int) -> np.ndarray:
+    """Weights (n, objectives) that sum to 1, evenly over the simplex, the corners included.
+
+    steps: parts that an edge is divided into.
+    """
+    if objectives == 1:
+        return np.ones((1, 1))
+
+    def compositions(total: int, parts: int) -> list[tuple[int, ...]]:
+        if parts == 1:
+            return [(total,)]
+        return [
+            (first, *rest)
+            for first in range(total + 1)
+            for rest in compositions(total - first, parts - 1)
+        ]
+
+    return np.asarray(compositions(steps, objectives), float) / steps

@@ -1,0 +1,137 @@
+"""What a user writes on the command line, read: gains to tune, objective.
+
+--gains "c1=0.1..10, eta:tied, weights:fixed"     names with range and how they are searched
+--gains tuned.toml                                a file: the values to start from
+--objective "contour_rms_um + 0.1*energy_J/2"     weight * figure / scale, summed
+"""
+
+import ast
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxstage.settings import nearest_name
+from tuning.tuner.objective import Term
+from tuning.tuner.space import Search
+from tuning.tuner.transforms import TRANSFORMS
+
+_FLAGS = ("tied", "fixed", *TRANSFORMS)
+_FORM = re.compile(
+    r"(?P<name>[^=:]+?)(?:=(?P<low>[^:]*?)\.\.(?P<high>[^:]*?))?(?P<flags>(?::\w+)*)"
+)
+#: weights of energy and of the changes of the command beside the error
+BESIDE = 0.1
+
+
+class Gains(NamedTuple):
+    """What ``--gains`` says. file: of the values to start from. searches: what is tuned, as plain
+    data (`Search` by field, the transform by name)."""
+
+    file: Path | None
+    searches: tuple[dict[str, Any], ...]
+
+
+def parse_gains(words: Sequence[str]) -> Gains:
+    """``--gains`` words: one that ends in .toml is a file, any other names what is tuned.
+
+    Raises ValueError in one line.
+    """
+    files = [Path(word) for word in words if word.endswith(".toml")]
+    if len(files) > 1:
+        raise ValueError(f"--gains {files[0]} and {files[1]}: give one file to start from")
+    names = [
+        part.strip() for word in words if not word.endswith(".toml") for part in word.split(",")
+    ]
+    return Gains(files[0] if files else None, tuple(map(_search, names)))
+
+
+def _search(word: str) -> dict[str, Any]:
+    found = _FORM.fullmatch(word)
+    if not found:
+        raise ValueError(f"--gains {word}: must be NAME or NAME=LOW..HIGH, then :tied, :log, ...")
+    table: dict[str, Any] = {"name": found["name"].strip()}
+    for end in ("low", "high"):
+        if found[end] is not None:
+            table[end] = _number(word, found[end])
+    for flag in found["flags"].split(":")[1:]:
+        if flag not in _FLAGS:
+            hint = nearest_name(flag, _FLAGS)
+            raise ValueError(f"--gains {word}: ':{flag}'{hint}: one of {', '.join(_FLAGS)}")
+        table |= {flag: True} if flag in ("tied", "fixed") else {"transform": flag}
+    return table
+
+
+def _number(word: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"--gains {word}: '{text}' is not a number") from None
+
+
+def search_of(table: dict[str, Any]) -> Search:
+    """A `Search` of its plain data."""
+    name = table.get("transform")
+    return Search(**{**table, "transform": TRANSFORMS[name] if name else None})
+
+
+# --- objective ---------------------------------------------------------------------------------
+
+
+def default_objective(columns: Collection[str], unit: str) -> str:
+    """The contour error, of one axis its following error, and a little of energy and of the changes
+    of the command. unit: of the command, as columns write it."""
+    error = next(n for n in ("contour_rms_um", "following_rms_um") if n in columns)
+    beside = (f"command_change_rms_{unit}", "energy_J")
+    return " + ".join([error, *(f"{BESIDE:g}*{name}" for name in beside if name in columns)])
+
+
+def parse_objective(text: str, columns: Collection[str]) -> tuple[Term, ...]:
+    """The terms of ``contour_rms_um + 0.1*energy_J/2``: weight * figure / scale, summed.
+
+    Raises ValueError in one line for anything else, an unknown figure, one named twice, and for a
+    weight or scale that is not > 0.
+    """
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        terms = [_term(part, columns) for part in _summed(tree)]
+        names = [term.column for term in terms]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ValueError(f"{twice[0]} stands twice")
+    except SyntaxError as error:
+        raise ValueError(f"--objective '{text}': {error.msg} at character {error.offset}") from None
+    except ValueError as error:
+        raise ValueError(f"--objective '{text}': {error}") from None
+    return tuple(terms)
+
+
+def _summed(tree: ast.expr) -> list[ast.expr]:
+    if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):
+        return [*_summed(tree.left), *_summed(tree.right)]
+    return [tree]
+
+
+def _term(tree: ast.expr, columns: Collection[str]) -> Term:
+    """weight * figure / scale, in any order that means that."""
+    match tree:
+        case ast.Name(id=name):
+            if name not in columns:
+                raise ValueError(f"unknown figure '{name}'{nearest_name(name, columns)}")
+            return Term(name)
+        case ast.BinOp(left=ast.Constant(value=value), op=ast.Mult(), right=right):
+            inner = _term(right, columns)
+            return inner._replace(weight=inner.weight * _positive(value))
+        case ast.BinOp(left=left, op=ast.Mult(), right=ast.Constant(value=value)):
+            inner = _term(left, columns)
+            return inner._replace(weight=inner.weight * _positive(value))
+        case ast.BinOp(left=left, op=ast.Div(), right=ast.Constant(value=value)):
+            inner = _term(left, columns)
+            return inner._replace(scale=(inner.scale or 1.0) * _positive(value))
+    raise ValueError(f"'{ast.unparse(tree)}': must be weight * figure / scale")
+
+
+def _positive(value: Any) -> float:
+    if type(value) not in (int, float) or not 0 < value < float("inf"):
+        raise ValueError(f"{value}: weights and scales must be > 0")
+    return float(value)

@@ -1,0 +1,224 @@
+"""The compiled functions of a problem: costs of many gains in all training runs, and derivatives.
+
+All candidates run in all runs of a group in one batch, candidates first: lane = candidate * runs +
+run. The programs take gains, weights and scales as arguments, so nothing is compiled twice.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxstage.batch import rollouts, spread_axes
+from jaxstage.fields import replace
+from jaxstage.settings import with_leaf
+from tuning.tuner.figures import Measured, Recipe, measure
+from tuning.tuner.groups import Group
+from tuning.tuner.objective import LOST, TIGHT, Goal, Risk, Term
+from tuning.tuner.space import SearchSpace
+
+#: lanes that run together at most
+TILE = 128
+#: bytes that the stored ticks of one batch may take
+MEMORY = 4e9
+
+
+class Programs(NamedTuple):
+    """Functions of (z, weights, scales, penalty, data), whose results have the fields of
+    `Evaluation`, `Slopes` and `Curvatures`; directional takes directions (d, n) after z."""
+
+    evaluate: Callable[..., Any]
+    slopes: Callable[..., Any]
+    curvatures: Callable[..., Any]
+    directional: Callable[..., Any]
+
+
+def _lanes(space: SearchSpace, group: Group, z: Array, scenario: Any, path: Any) -> Any:
+    """Arguments of `rollouts` for candidates z (m, n) in all runs of a group."""
+    gains, axes = space.gains, jax.tree.map(lambda _: None, space.gains)
+    for e in space.entries:
+        value = jax.vmap(e.value_of)(z[:, e.first : e.first + e.count])
+        names = e.path.split(".")[1:]
+        gains = with_leaf(gains, names, jnp.repeat(value, group.runs, axis=0))
+        axes = with_leaf(axes, names, 0)
+    again = jnp.tile(jnp.arange(group.runs), len(z))
+    trees = (scenario, path)
+    shared = spread_axes(group.batch.in_axes[1:], trees)
+    scenario, path = jax.tree.map(lambda x, a: x[again] if a == 0 else x, trees, shared)
+    return gains, scenario, path, (axes, *group.batch.in_axes[1:])
+
+
+class _Runs(NamedTuple):
+    """Runs of a group: what they measure, and when they were lost, as a share, or NaN."""
+
+    measured: Measured
+    lost: Array
+
+
+def _simulate(
+    space: SearchSpace, group: Group, made: Recipe, segment: int, z: Array, data: Any
+) -> _Runs:
+    case = group.case
+    gains, scenario, path, axes = _lanes(space, group, z, *data)
+    loop = replace(case.loop, metric=made.metric, segment=segment)
+    ticks, lanes = case.window.ticks, len(z) * group.runs
+    tile = min(TILE, -(-lanes // jax.local_device_count()))
+    run = rollouts(
+        loop, gains, scenario, path, ticks, in_axes=axes, tile=tile, memory=MEMORY
+    )  # fmt: skip
+    left, broken = run.final.left_path_at, run.final.non_finite_at
+    at = jnp.where(left >= 0, left, broken)
+    gone = at >= 0
+
+    def present(x: Array) -> Array:
+        """Ones in place of the NaN of a lost run, which no gradient may meet."""
+        return jnp.where(gone.reshape(-1, *[1] * (x.ndim - 1)), jnp.ones_like(x), x)
+
+    report, rows = jax.tree.map(present, (run.report, run.rows))
+    share = jnp.where(gone, at / ticks, jnp.nan)
+    return _Runs(measure(case, made, report, rows), share)
+
+
+def _fast(space: SearchSpace, group: Group, z: Array) -> Array:
+    """Control period over the longest that the law's own memory allows, (m,)."""
+    limit = group.case.loop.controller.longest_period
+
+    def longest(one: Array) -> Array:
+        return jnp.min(jnp.asarray(limit(space.gains_of(one)), one.dtype))
+
+    return group.case.loop.dt / jax.vmap(longest)(z)
+
+
+class _Costs(NamedTuple):
+    """residuals: (m, runs, pieces); those of a lost run are 0 and its cost is in ``lost``, the
+    barrier (m, runs), 0 of others. violation, share: (m, runs). columns: (m, runs) each."""
+
+    residuals: Array
+    lost: Array
+    violation: Array
+    share: Array
+    columns: dict[str, Array]
+
+
+def _costs(
+    parts: tuple[SearchSpace, Group, Recipe, tuple[Term, ...], tuple[Goal, ...]],
+    segment: int, z: Array, weights: Array, scales: Array, penalty: Array, data: Any,
+) -> _Costs:  # fmt: skip
+    space, group, made, terms, goals = parts
+    runs = _simulate(space, group, made, segment, z, data)
+    shape = (len(z), group.runs)
+    share = runs.lost.reshape(shape)
+    fast = jnp.maximum(_fast(space, group, z), 1.0)[:, None]
+    share = jnp.where(fast > 1, jnp.zeros_like(share), share)
+    gone = ~jnp.isnan(share)
+    columns = {name: value.reshape(shape) for name, value in runs.measured.columns.items()}
+    roots = jnp.sqrt(weights / jnp.sum(weights, axis=-1, keepdims=True))
+    residuals = []
+    for t, term in enumerate(terms):
+        value = runs.measured.pieces.get(term.column, columns[term.column])
+        residuals.append(value.reshape(*shape, -1) / scales[t] * roots[:, t, None, None])
+    missed = [goal.violation(columns) for goal in goals]
+    for value in missed:
+        over = jnp.maximum(value + TIGHT, jnp.zeros_like(value))
+        residuals.append(jnp.sqrt(penalty) * over[..., None])
+    none = jnp.zeros(shape, z.dtype)
+    barrier = LOST * (2.0 - jnp.where(gone, share, none) + jnp.log(fast))
+    largest = jnp.max(jnp.stack(missed), axis=0) if missed else none - 1
+    every = jnp.concatenate(residuals, axis=-1)
+    return _Costs(
+        residuals=jnp.where(gone[..., None], jnp.zeros_like(every), every),
+        lost=jnp.where(gone, barrier, none),
+        violation=jnp.where(gone, jnp.full_like(none, jnp.inf), largest),
+        share=share,
+        columns={name: jnp.where(gone, jnp.nan, value) for name, value in columns.items()},
+    )
+
+
+def make_programs(
+    space: SearchSpace, groups: tuple[Group, ...], made: tuple[Recipe, ...],
+    terms: tuple[Term, ...], goals: tuple[Goal, ...], risk: Risk,
+) -> Programs:  # fmt: skip
+    """The programs of a problem; made: what the runs of each group compute."""
+    parts = [
+        (space, group, one, terms, goals) for group, one in zip(groups, made, strict=True)
+    ]  # fmt: skip
+    each = np.concatenate([np.full(group.runs, group.weight) for group in groups])
+    shares = each / each.sum()
+    segments = [math.isqrt(group.case.window.ticks) for group in groups]
+
+    def costs(segmented: bool, z: Array, *arguments: Any) -> tuple[list[_Costs], Array, Array]:
+        """Those of each group, then c (m, runs) and the violation (m,) of all."""
+        weights, scales, penalty, data = arguments
+        found = [
+            _costs(part, segment if segmented else 0, z, weights, scales, penalty, own)
+            for part, segment, own in zip(parts, segments, data, strict=True)
+        ]
+        summed = _joined(*(jnp.sum(c.residuals**2, axis=-1) + c.lost for c in found))
+        return found, summed, jnp.max(_joined(*(c.violation for c in found)), axis=1)
+
+    def omega(every: Array) -> Array:
+        return risk.weights(jax.lax.stop_gradient(every), jnp.asarray(shares, every.dtype))
+
+    def evaluate(z: Array, *arguments: Any) -> tuple[Any, ...]:
+        found, every, violation = costs(False, z, *arguments)
+        lengths = [group.case.window.ticks * group.case.loop.dt for group in groups]
+        lost = [c.share * length for c, length in zip(found, lengths, strict=True)]
+        columns = jax.tree.map(_joined, *(c.columns for c in found))
+        return jnp.sum(omega(every) * every, axis=1), every, violation, _joined(*lost), columns
+
+    def slopes(z: Array, *arguments: Any) -> tuple[Array, ...]:
+        def total(z: Array) -> tuple[Array, Any]:
+            _, every, violation = costs(True, z, *arguments)
+            objective = jnp.sum(omega(every) * every, axis=1)
+            return jnp.sum(objective), (objective, violation)
+
+        gradient, (objective, violation) = jax.grad(total, has_aux=True)(z)
+        return objective, gradient, violation
+
+    def tangents(z: Array, directions: Array, *arguments: Any) -> Any:
+        """dr along each direction, (d, m, runs, pieces) a group; r, c and violation."""
+
+        def residuals(z: Array) -> tuple[list[Array], Any]:
+            found, every, violation = costs(False, z, *arguments)
+            values = [c.residuals for c in found]
+            return values, (values, every, violation)
+
+        def along(direction: Array) -> Any:
+            moved = jnp.broadcast_to(direction, z.shape)
+            _, slope, rest = jax.jvp(residuals, (z,), (moved,), has_aux=True)
+            return slope, rest
+
+        return jax.vmap(along, out_axes=(0, None))(directions)
+
+    def curvatures(z: Array, *arguments: Any) -> tuple[Array, ...]:
+        directions = jnp.eye(z.shape[1], dtype=z.dtype)
+        slope, (values, every, violation) = tangents(z, directions, *arguments)
+        weight = omega(every)
+        ends = np.cumsum([group.runs for group in groups])[:-1].tolist()
+        pairs = list(zip(values, slope, strict=True))
+        of_runs = [2 * jnp.einsum("imsp,msp->msi", dr, r) for r, dr in pairs]
+        matrices = [
+            2 * jnp.einsum("imsp,jmsp,ms->mij", dr, dr, w)
+            for (_, dr), w in zip(pairs, jnp.split(weight, ends, axis=1), strict=True)
+        ]
+        gradients = _joined(*of_runs)
+        gradient = jnp.sum(weight[..., None] * gradients, axis=1)
+        matrix = sum(matrices[1:], start=matrices[0])
+        return jnp.sum(weight * every, axis=1), gradient, matrix, violation, gradients
+
+    def directional(z: Array, directions: Array, *arguments: Any) -> Array:
+        """Slope of each run's cost along each direction, (d, m, runs)."""
+        slope, (values, _, _) = tangents(z, directions, *arguments)
+        each = [2 * jnp.sum(dr * r, axis=-1) for dr, r in zip(slope, values, strict=True)]
+        return jnp.concatenate(each, axis=-1)
+
+    return Programs(jax.jit(evaluate), jax.jit(slopes), jax.jit(curvatures), jax.jit(directional))
+
+
+def _joined(*values: Any) -> Any:
+    """Arrays (m, runs, ...) of the groups side by side."""
+    return jnp.concatenate(values, axis=1)

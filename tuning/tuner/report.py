@@ -1,0 +1,280 @@
+"""A finished tuning as an object for JSON and as files."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxstage import __version__
+from jaxstage.metrics.table import split_key
+from tuning.folders import digest
+from tuning.gains_file import TunedGain, to_text
+from tuning.results import write_text
+from tuning.statistics import Interval
+from tuning.tuner.baselines import Course, course
+from tuning.tuner.judging import HeldOut, Trial
+from tuning.tuner.pareto import Front
+from tuning.tuner.session import Outcome
+from tuning.tuner.space import parameters
+
+#: the files of tuned gains: accepted ones, and those that were refused
+ACCEPTED, REFUSED = "gains.toml", "refused-gains.toml"
+
+
+class Extras(NamedTuple):
+    """What was asked for beside the tuning. before, after: figures of the loop as it stands."""
+
+    before: dict[str, Any]
+    after: dict[str, Any]
+    baselines: tuple[Course, ...] = ()
+    front: Front | None = None
+
+
+def as_object(outcome: Outcome, extras: Extras) -> dict[str, Any]:
+    """What ``--json`` prints and tune.json holds. What cannot be said is None."""
+    tuned, objective = outcome.tuned, outcome.trials.exact.objective
+    return {
+        "loop": outcome.plan.table["loop"],
+        "version": __version__,
+        "configuration_sha256": digest(outcome.plan.text),
+        "method": tuned.method,
+        "n": tuned.n,
+        "units": tuned_number(outcome.units),
+        "seconds": tuned_number(outcome.seconds),
+        "ended": tuned.ended,
+        "objective": outcome.plan.table["objective"],
+        "accepted": not outcome.refused,
+        "refused": list(outcome.refused),
+        "before": {"objective": number(objective[0]), "figures": extras.before},
+        "after": {"objective": number(objective[1]), "figures": extras.after},
+        "held_out": held_out_object(outcome.held_out),
+        "gains": gains_object(outcome),
+        "diagnostics": diagnostics_object(outcome),
+        "baselines": [baseline_object(one, outcome) for one in extras.baselines],
+        "pareto": front_object(extras.front),
+    }
+
+
+def number(value: float | None) -> float | None:
+    """A finite number or None."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def tuned_number(value: float) -> float:
+    """Units and seconds with a digit behind the point."""
+    return round(float(value), 1)
+
+
+def _interval(found: Interval | None) -> dict[str, float | None] | None:
+    return {k: number(v) for k, v in found._asdict().items()} if found else None
+
+
+def held_out_object(found: HeldOut) -> dict[str, Any]:
+    """The verdict of the held-out runs."""
+    return {
+        "figure": found.figure,
+        "runs": found.runs,
+        "before": _interval(found.before),
+        "after": _interval(found.after),
+        "change": _interval(found.change),
+        "lost_before": found.lost_before,
+        "lost": found.lost,
+        "better": {k: number(v) for k, v in found.better._asdict().items()},
+        "figures": {name: {"before": b, "after": a} for name, (b, a) in found.others.items()},
+    }
+
+
+def gains_object(outcome: Outcome) -> dict[str, Any]:
+    """Label -> value, before, range and unit of every number that was tuned."""
+    return {
+        p.label: {
+            "value": p.value, "before": p.before, "low": number(p.low), "high": number(p.high),
+            "unit": p.unit, "symbol": p.symbol, "at_bound": p.at_bound,
+        }
+        for p in parameters(outcome.problem.space, outcome.tuned.z)
+    }  # fmt: skip
+
+
+def _trial(found: Trial) -> dict[str, Any]:
+    return {
+        "before": number(found.figure[0]), "after": number(found.figure[1]),
+        "objective_before": number(found.objective[0]),
+        "objective_after": number(found.objective[1]), "lost": found.lost,
+    }  # fmt: skip
+
+
+def diagnostics_object(outcome: Outcome) -> dict[str, Any]:
+    """What the result rests on."""
+    found, trials = outcome.diagnostics, outcome.trials
+    effects = found.effects
+    return {
+        "gradient_ok": found.gradient_ok,
+        "gradient_error": {k: number(v) for k, v in (found.gradient_error or {}).items()},
+        "non_finite": found.non_finite,
+        "at_bounds": list(found.at_bounds),
+        "insensitive": list(effects.insensitive) if effects else None,
+        "redundant": [list(group) for group in effects.redundant] if effects else None,
+        "eigenvalues": [float(v) for v in effects.eigenvalues] if effects else None,
+        "starts": [number(v) for v in found.starts],
+        "starts_agree": found.starts_agree,
+        "spectral_radius": dict(zip(("before", "after"), found.radius, strict=True))
+        if found.radius
+        else None,
+        "exact": _trial(trials.exact),
+        "half_step": _trial(trials.half_step),
+        "longer": _trial(trials.longer),
+        "rounds": [
+            {"added": list(one.added), "units": tuned_number(one.tuned.units),
+             "before": number(one.tuned.before), "after": number(one.tuned.after)}
+            for one in outcome.rounds
+        ],
+        "notes": list(found.notes),
+    }  # fmt: skip
+
+
+def baseline_object(found: Course, outcome: Outcome) -> dict[str, Any]:
+    """A method beside the one that tuned: where it ended, and when it was where that one ended."""
+    best = course(outcome.rounds[0].tuned).best[-1]
+    return {
+        "method": found.method,
+        "units": tuned_number(found.units[-1]),
+        "objective": number(found.best[-1]),
+        "units_to_same": found.reached(float(best)),
+    }
+
+
+def front_object(front: Front | None) -> dict[str, Any] | None:
+    """The trade-offs."""
+    if front is None:
+        return None
+
+    def row(values: np.ndarray) -> dict[str, float | None]:
+        return {name: number(v) for name, v in zip(front.columns, values, strict=True)}
+
+    return {
+        "columns": list(front.columns),
+        "points": [
+            {"figures": row(point), "weights": row(share), "on_front": bool(kept),
+             "suggested": index == front.suggested}
+            for index, (point, share, kept) in enumerate(
+                zip(front.points, front.weights, front.kept, strict=True)
+            )
+        ],
+        "before": row(front.before),
+        "hypervolume": number(front.volume),
+        "reference": row(front.reference),
+        "units": tuned_number(front.units),
+    }  # fmt: skip
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+def write_files(folder: Path, outcome: Outcome, extras: Extras, answer: dict[str, Any]) -> None:
+    """tune.json, the gains, history.csv and, where asked for, baseline.csv and pareto/."""
+    write_text(folder / "tune.json", json.dumps(answer, indent=2, allow_nan=False) + "\n")
+    name, other = (REFUSED, ACCEPTED) if outcome.refused else (ACCEPTED, REFUSED)
+    write_text(folder / name, gains_text(outcome))
+    (folder / other).unlink(missing_ok=True)
+    write_text(folder / "history.csv", history_text(outcome))
+    if extras.baselines:
+        write_text(folder / "baseline.csv", courses_text(_courses(outcome, extras)))
+    if extras.front is not None:
+        write_front(folder / "pareto", outcome, extras.front)
+
+
+def _courses(outcome: Outcome, extras: Extras) -> tuple[Course, ...]:
+    return (course(outcome.rounds[0].tuned), *extras.baselines)
+
+
+def gains_text(outcome: Outcome, gains: Any = None, remark: str = "") -> str:
+    """The file of gains: all values, and of the tuned ones unit, range and value before."""
+    verdict = [f"NOT accepted: {reason}" for reason in outcome.refused]
+    verdict = verdict or [f"held out: {verdict_text(outcome.held_out)}"]
+    entries = outcome.problem.space.entries
+    return to_text(
+        outcome.tuned.gains if gains is None else gains,
+        [TunedGain(e.path, e.symbol, e.unit, e.low, e.high, e.before) for e in entries],
+        [
+            f"tuned for {outcome.plan.table['loop']} by jaxstage {__version__}, "
+            f"configuration {digest(outcome.plan.text)}; SI units",
+            *([remark] if remark else verdict),
+        ],
+    )
+
+
+def verdict_text(found: HeldOut) -> str:
+    """The verdict of the held-out runs in words."""
+    if not (found.before and found.after and found.change):
+        return f"{found.lost} of {found.runs} runs are lost, too few are left to compare"
+    name, unit = split_key(found.figure)
+    change = found.change
+    return (
+        f"{name} {found.before.value:.4g} -> {found.after.value:.4g} {unit}, "
+        f"{change.value:+.1%} ({change.low:+.1%}..{change.high:+.1%}), on {found.runs} runs; "
+        f"{found.lost} lost, {found.lost_before} before"
+    )
+
+
+def history_text(outcome: Outcome) -> str:
+    """One row a step of every round."""
+    rows = [
+        (number_, p.step, p.units, p.seconds, p.best, p.gradient_norm, p.violation)
+        for number_, one in enumerate(outcome.rounds)
+        for p in one.tuned.history
+    ]
+    head = ("round", "step", "units", "seconds_s", "objective", "gradient_norm", "violation")
+    return _csv(head, rows)
+
+
+def courses_text(courses: Sequence[Course]) -> str:
+    """Best objective against units of every method."""
+    rows = [
+        (one.method, units, best) for one in courses for units, best in zip(*one[1:3], strict=True)
+    ]
+    return _csv(("method", "units", "objective"), rows)
+
+
+def write_front(folder: Path, outcome: Outcome, front: Front) -> None:
+    """pareto.csv, and the gains of every point as TOML."""
+    folder.mkdir(exist_ok=True)
+    head = (
+        "point",
+        *front.columns,
+        *(f"weight_{c}" for c in front.columns),
+        "on_front",
+        "suggested",
+    )
+    rows = [
+        (i, *point, *share, kept, i == front.suggested)
+        for i, (point, share, kept) in enumerate(
+            zip(front.points, front.weights, front.kept, strict=True)
+        )
+    ]
+    write_text(folder / "pareto.csv", _csv(head, rows))
+    for i, gains in enumerate(front.gains):
+        told = ", ".join(
+            f"{c} {v:.4g}" for c, v in zip(front.columns, front.points[i], strict=True)
+        )
+        remark = f"trade-off {i}: {told}; tested on the training runs only"
+        write_text(folder / f"gains-{i}.toml", gains_text(outcome, gains, remark))
+
+
+def _csv(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Rows as CSV; what is not finite is left blank."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    for row in rows:
+        writer.writerow([_cell(value) for value in row])
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    plain = value.item() if isinstance(value, np.generic) else value
+    return "" if isinstance(plain, float) and not math.isfinite(plain) else plain

@@ -1,0 +1,244 @@
+"""A tuning from its configuration to evidence: rounds of training, then the tests of the result.
+
+Training sees only the training runs. What accepts or refuses comes after, on the exact model.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tuning.sweeps.rows import figure_names
+from tuning.tuner.configuration import (
+    Plan,
+    fresh_runs,
+    groups_of,
+    pool,
+    problem_of,
+    runs_of,
+)
+from tuning.tuner.diagnostics import Diagnostics, diagnose
+from tuning.tuner.judging import (
+    HeldOut,
+    Judged,
+    Trial,
+    Trials,
+    half_step,
+    has_column,
+    held_out_verdict,
+    judge,
+    prolonged,
+    refusals,
+)
+from tuning.tuner.objective import Goal
+from tuning.tuner.problem import Evaluation, Problem, evaluate
+from tuning.tuner.sets import Series, series
+from tuning.tuner.tune import METHODS, Progress, Tuned, tune
+from tuning.tuner.worst_case import worst_plants
+
+#: figures that held-out runs are judged by where the objective has one of its own
+USUAL = ("contour_rms_um", "following_rms_um")
+
+
+class Now(NamedTuple):
+    """What is going on. round: of training. fresh: the objective on other plants, or None."""
+
+    round: int
+    progress: Progress
+    fresh: float | None
+
+
+class Watch(NamedTuple):
+    """Who is told: of every step, and of what comes next."""
+
+    step: Callable[[Now], None]
+    stage: Callable[[str], None]
+
+
+def _nothing(told: Any) -> None:
+    return None
+
+
+SILENT = Watch(_nothing, _nothing)
+
+
+class Round(NamedTuple):
+    """One round of training. added: labels of the plants that were added for it."""
+
+    tuned: Tuned
+    added: tuple[str, ...]
+
+
+class Outcome(NamedTuple):
+    """A tuning and what it rests on. problem: on the training runs, without added plants. tuned: of
+    the last round, its objective and scales as in that round. judged: the held-out runs. refused:
+    why not accepted."""
+
+    plan: Plan
+    problem: Problem
+    rounds: tuple[Round, ...]
+    trials: Trials
+    held_out: HeldOut
+    judged: Judged
+    diagnostics: Diagnostics
+    refused: tuple[str, ...]
+
+    @property
+    def tuned(self) -> Tuned:
+        """The last round."""
+        return self.rounds[-1].tuned
+
+    @property
+    def units(self) -> float:
+        """Units of all rounds."""
+        return sum(one.tuned.units for one in self.rounds)
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of all rounds."""
+        return sum(one.tuned.seconds for one in self.rounds)
+
+
+def run_tuning(plan: Plan, folder: Path | None = None, watch: Watch = SILENT) -> Outcome:
+    """Train, then test. folder: keeps every evaluation; a stopped tuning goes on from there."""
+    watch.stage("compiling the training runs")
+    groups = groups_of(plan, runs_of(plan, "train"))
+    problem = problem_of(plan, groups)
+    rounds = _rounds(plan, problem, folder, watch)
+    tuned = rounds[-1].tuned
+    watch.stage("testing on the exact model: half the step, a longer run")
+    trials = _trials(plan, problem, tuned)
+    watch.stage("testing on held-out plants")
+    judged = held_out(plan, tuned.gains)
+    verdict = held_out_verdict(judged)
+    watch.stage("diagnostics")
+    return Outcome(
+        plan=plan,
+        problem=problem,
+        rounds=rounds,
+        trials=trials,
+        held_out=verdict,
+        judged=judged,
+        diagnostics=diagnose(problem, tuned, plan.case),
+        refused=refusals(trials, verdict),
+    )
+
+
+def journal(folder: Path | None, name: str) -> Path | None:
+    """Where the evaluations of one search are kept."""
+    return None if folder is None else folder / "journal" / name
+
+
+# --- training ----------------------------------------------------------------------------------
+
+
+def _rounds(plan: Plan, problem: Problem, folder: Path | None, watch: Watch) -> tuple[Round, ...]:
+    table, made = plan.table, METHODS.get(plan.table["method"])
+    budget = table["budget"] / (table["worst_case"] + 1)
+    other = _fresh_problem(plan, problem)
+    rounds: list[Round] = []
+    groups, added = list(problem.groups), ()
+    for number in range(table["worst_case"] + 1):
+        starts: int | np.ndarray = table["starts"]
+        if number:
+            watch.stage(f"round {number + 1}: looking for the worst plants")
+            found = worst_plants(pool(plan, number), rounds[-1].tuned.gains, held_out_figure(plan))
+            groups += groups_of(plan, found.added)
+            added = found.labels
+            starts = rounds[-1].tuned.z[None]
+        here = problem_of(plan, groups, problem) if number else problem
+        watch.stage(f"training{f', round {number + 1}' if table['worst_case'] else ''}")
+        tuned = tune(
+            here, made() if made else None, starts, table["seed"] + number, budget,
+            journal=journal(folder, f"round-{number}"), watch=_stepwise(number, other, watch),
+        )  # fmt: skip
+        rounds.append(Round(tuned, added))
+    return tuple(rounds)
+
+
+def _fresh_problem(plan: Plan, problem: Problem) -> Problem:
+    """The same problem on other plants: nothing is compiled again."""
+    groups = groups_of(plan, fresh_runs(plan))
+    data = tuple((group.batch.scenario, group.batch.path) for group in groups)
+    return problem._replace(groups=tuple(groups), data=data)
+
+
+#: share of the time that may go into showing progress on other plants
+SHOWING = 0.1
+
+
+def _stepwise(number: int, other: Problem, watch: Watch) -> Callable[[Progress], None]:
+    """Tells of a step, and of the same gains on other plants where they got better."""
+    shown: dict[str, float] = {"best": np.inf, "spent": 0.0, "begun": time.perf_counter()}
+    fresh: list[float] = []
+
+    def told(progress: Progress) -> None:
+        now = time.perf_counter()
+        due = shown["spent"] <= SHOWING * (now - shown["begun"])
+        if watch.step is not _nothing and progress.best < shown["best"] and due:
+            fresh.append(float(evaluate(other, progress.z[None]).objective[0]))
+            shown["best"] = progress.best
+            shown["spent"] += time.perf_counter() - now
+        watch.step(Now(number, progress, fresh[-1] if fresh else None))
+
+    return told
+
+
+# --- testing -----------------------------------------------------------------------------------
+
+
+def _trials(plan: Plan, problem: Problem, tuned: Tuned) -> Trials:
+    """Both gains on the training runs: as they were, with half the step, and longer."""
+    ends = np.stack([problem.space.start(), tuned.z])
+    exact = evaluate(problem, ends)
+    half = _again(plan, problem, half_step(plan.table["train"], plan.blocks), ends)
+    longer = _again(plan, problem, prolonged(plan.table["train"], plan.blocks), ends)
+    missed = tuple(_missed(goal, exact) for goal in problem.goals if _worst(goal, exact) > 0)
+    return Trials(*(_trial(plan, found) for found in (exact, half, longer)), missed)
+
+
+def _again(plan: Plan, problem: Problem, every: list[Series], ends: np.ndarray) -> Evaluation:
+    """Both gains on the training runs in another form."""
+    return evaluate(problem_of(plan, groups_of(plan, every), problem, width=len(ends)), ends)
+
+
+def _trial(plan: Plan, found: Evaluation) -> Trial:
+    values = found.columns[plan.figure]
+    both = np.isfinite(values).all(axis=0)
+    means = values[:, both].mean(axis=1) if both.any() else np.full(2, np.nan)
+    lost = int(np.isfinite(found.lost_at_s[1]).sum())
+    return Trial(
+        (float(means[0]), float(means[1])),
+        (float(found.objective[0]), float(found.objective[1])), lost,
+    )  # fmt: skip
+
+
+def _of_after(found: Evaluation) -> Mapping[str, np.ndarray]:
+    return {name: values[1] for name, values in found.columns.items()}
+
+
+def _worst(goal: Goal, found: Evaluation) -> float:
+    return float(np.max(np.asarray(goal.violation(_of_after(found)))))
+
+
+def _missed(goal: Goal, found: Evaluation) -> str:
+    """A goal that is not met, with the figures of the run that misses it most."""
+    columns = _of_after(found)
+    run = int(np.argmax(np.asarray(goal.violation(columns))))
+    told = ", ".join(f"{name} = {columns[name][run]:.4g}" for name in goal.names)
+    return f"the goal {goal.text} is not met: {told} in one of the training runs"
+
+
+def held_out_figure(plan: Plan) -> str:
+    """What held-out runs are judged by: the figure of the objective where `jaxstage run` has it."""
+    columns = dict.fromkeys(figure_names(plan.case))
+    axes = plan.case.loop.plant.axes
+    return next(n for n in (plan.figure, *USUAL) if has_column(columns, n, axes))
+
+
+def held_out(plan: Plan, gains: Any) -> Judged:
+    """The held-out runs under the gains before and some gains. Nothing has touched them before."""
+    every = series(plan.table["held_out"], plan.blocks)
+    return judge(every, plan.space.gains, gains, held_out_figure(plan))

@@ -1,0 +1,325 @@
+"""From gains that work to gains that work better: method, budget, progress, kept evaluations.
+
+A unit is one evaluation of the objective in all training runs; gradients and Jacobians are charged
+as `prices` says. The same problem, method, seed, starts and prices give the same result to the last
+bit on the same machine, in one go or stopped and taken up again (`journal`).
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from tuning.designs import sobol_rows
+from tuning.distributions import TAIL
+from tuning.tuner import problem as problems
+from tuning.tuner.cma import cma_es
+from tuning.tuner.first_order import first_order
+from tuning.tuner.gradient_check import STEPS, GradientCheck, directions_of, judged
+from tuning.tuner.journal import Answer, digest, fingerprint, keep
+from tuning.tuner.lbfgs import lbfgs
+from tuning.tuner.levenberg_marquardt import levenberg_marquardt
+from tuning.tuner.method import Method, Oracle
+from tuning.tuner.prices import Prices, measure_prices
+from tuning.tuner.problem import Curvatures, Problem, Slopes
+from tuning.tuner.random_search import random_search
+
+#: up to so many parameters Levenberg-Marquardt, beyond them L-BFGS
+FEW = 30
+#: points of the Sobol sequence that starts are picked from, and their standard deviation in z
+AMONG, SPREAD = 16, 1.0
+#: the weight of missed goals grows by this factor, to this at most, while a search ends at a miss
+HARDER, HARDEST = 10.0, 1e7
+
+#: directions of the check of the gradients
+DIRECTIONS = 3
+#: the "start" of candidates that belong to none
+SCREENING = -1
+
+#: by the names that options use
+METHODS: dict[str, Callable[[], Method]] = {
+    "lm": levenberg_marquardt,
+    "lbfgs": lbfgs,
+    "adam": first_order,
+    "cma": cma_es,
+    "random": random_search,
+}
+
+
+class Progress(NamedTuple):
+    """After a step. best, violation, z: of the best gains so far; gradient_norm: smallest of the
+    starts, NaN where unknown; left_s: expected until the budget is spent."""
+
+    step: int
+    units: float
+    budget: float
+    seconds: float
+    left_s: float
+    best: float
+    gradient_norm: float
+    violation: float
+    z: np.ndarray
+
+
+class StartResult(NamedTuple):
+    """Where a start ended, at its best."""
+
+    begun: np.ndarray
+    z: np.ndarray
+    objective: float
+    violation: float
+
+
+class Tuned(NamedTuple):
+    """before, after: J. feasible: no training run is lost and every goal is met. ended: why."""
+
+    method: str
+    n: int
+    z: np.ndarray
+    gains: Any
+    before: float
+    after: float
+    violation: float
+    feasible: bool
+    units: float
+    seconds: float
+    prices: Prices
+    check: GradientCheck | None
+    starts: tuple[StartResult, ...]
+    history: tuple[Progress, ...]
+    ended: str
+
+
+class _Best(NamedTuple):
+    """The best of the candidates of a start."""
+
+    z: np.ndarray
+    objective: float
+    violation: float
+
+    def key(self) -> tuple[float, float]:
+        """Smaller is better: first what is missed, then J."""
+        return max(self.violation, 0.0), self.objective
+
+
+class _Ledger(NamedTuple):
+    """What a tuning has asked so far; it fills while it runs. costs: (units, seconds) of every
+    question. known: answers of this process by question."""
+
+    folder: Path | None
+    prices: Prices
+    starts: int
+    costs: list[tuple[float, float]]
+    best: dict[int, _Best]
+    known: dict[str, Answer]
+
+    @property
+    def units(self) -> float:
+        """Units spent."""
+        return sum(units for units, _ in self.costs)
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of evaluation, those of an earlier process included."""
+        return sum(seconds for _, seconds in self.costs)
+
+
+def _kept(ledger: _Ledger, question: str, units: float, answer: Callable[[], Answer]) -> Answer:
+    """The answer to a question, asked and charged only once."""
+    if question not in ledger.known:
+        index = len(ledger.costs) + FIRST
+        ledger.known[question], seconds = keep(ledger.folder, index, question, answer)
+        ledger.costs.append((units, seconds))
+    return ledger.known[question]
+
+
+#: questions kept before those of the search: what is tuned, and the prices
+FIRST = 2
+
+
+def _ask(
+    ledger: _Ledger, problem: Problem, ask: Callable[..., Any], price: float, z: np.ndarray,
+    rows: np.ndarray,
+) -> Answer:  # fmt: skip
+    """What ``ask`` says of candidates z (m, n) of starts ``rows``; the best are remembered."""
+    question = digest(ask.__name__, problem.penalty, z, rows.astype(np.int64))
+    found = _kept(ledger, question, len(z) * price, lambda: ask(problem, z, rows))
+    for i, row in enumerate(map(int, rows)):
+        own = _Best(z[i], float(found["objective"][i]), float(found["violation"][i]))
+        if row not in ledger.best or own.key() < ledger.best[row].key():
+            ledger.best[row] = own
+    return found
+
+
+def _values(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
+    found = problems.evaluate(problem, z, rows)
+    return {"objective": found.objective, "violation": found.violation, "costs": found.costs}
+
+
+def _oracle(ledger: _Ledger, problem: Problem) -> Oracle:
+    prices = ledger.prices
+
+    def filled(z: np.ndarray, rows: np.ndarray, ask: Callable[..., Any]) -> Answer:
+        """All starts in one call, so that one program does, however many of them move."""
+        full = np.minimum(np.arange(max(ledger.starts, len(z))), len(z) - 1)
+        found = ask(problem, z[full], rows[full])
+        return {name: x[: len(z)] for name, x in found._asdict().items()}
+
+    def reverse(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
+        return filled(z, rows, problems.slopes)
+
+    def forward(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
+        return filled(z, rows, problems.curvatures)
+
+    def values(z: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return _ask(ledger, problem, _values, 1.0, z, rows)["objective"]
+
+    def slopes(z: np.ndarray, rows: np.ndarray) -> Slopes:
+        return Slopes(**_ask(ledger, problem, reverse, prices.gradient, z, rows))
+
+    def curvatures(z: np.ndarray, rows: np.ndarray) -> Curvatures:
+        return Curvatures(**_ask(ledger, problem, forward, prices.curvature, z, rows))
+
+    return Oracle(values, slopes, curvatures)
+
+
+def tune(
+    problem: Problem, method: Method | None = None, starts: int | np.ndarray = 1, seed: int = 0,
+    budget: float = 200.0, prices: Prices | None = None, journal: Path | None = None,
+    watch: Callable[[Progress], None] = lambda progress: None,
+) -> Tuned:  # fmt: skip
+    """Minimise J from the gains before, and from other starts.
+
+    method: None chooses: by the number of parameters, and by a check of the gradients, CMA-ES where
+    it fails. starts: how many, the first the gains before, or their z (k, n). budget: units; the
+    step under way is finished. prices: None measures them. journal: folder that keeps every
+    evaluation; given again, the tuning goes on where it was stopped. watch: called after each step.
+
+    Raises ValueError for an impossible budget or number of starts, and for a journal of something
+    else.
+    """
+    if not budget > 0:
+        raise ValueError(f"budget = {budget:g}: must be > 0 units")
+    count = starts if isinstance(starts, int) else len(starts)
+    if not 1 <= count <= AMONG:
+        raise ValueError(f"starts = {count}: must be 1..{AMONG}")
+    few = problem.space.size <= FEW
+    chosen = method or (levenberg_marquardt() if few else lbfgs())
+    told = starts if isinstance(starts, int) else np.ascontiguousarray(starts, float)
+    told_prices = None if prices is None else tuple(prices)
+    question = digest(fingerprint(problem), chosen.name, method is None, told, seed, told_prices)
+    keep(journal, 0, question, dict)
+    prices = prices or _kept_prices(problem, chosen, count, journal)
+    ledger = _Ledger(journal, prices, count, [], {}, {})
+    oracle = _oracle(ledger, problem)
+    begun = _starts(oracle, problem, starts, seed)
+    check = None
+    if method is None:
+        check = _check(ledger, problem, begun[0], seed)
+        chosen = chosen if check.ok else cma_es()
+    history, ended = _search(ledger, problem, chosen, begun, seed, budget, watch)
+    return _result(problem, chosen, ledger, begun, check, history, ended)
+
+
+def _kept_prices(problem: Problem, method: Method, starts: int, journal: Path | None) -> Prices:
+    def ask() -> dict[str, float]:
+        return measure_prices(problem, method.needs, starts)._asdict()
+
+    found, _ = keep(journal, 1, f"prices {method.needs} {starts}", ask)
+    return Prices(**{name: float(value) for name, value in found.items()})
+
+
+def _starts(oracle: Oracle, problem: Problem, starts: int | np.ndarray, seed: int) -> np.ndarray:
+    """z (k, n): the gains before, and the best of `AMONG` Sobol points around them."""
+    if not isinstance(starts, int):
+        return np.array(starts, float)
+    first = problem.space.start()[None]
+    if starts == 1:
+        return first
+    points = first + SPREAD * sobol_normal(seed, AMONG, first.shape[1])
+    values = oracle.values(points, np.full(AMONG, SCREENING))
+    return np.concatenate([first, points[np.argsort(values, kind="stable")[: starts - 1]]])
+
+
+def sobol_normal(seed: int, count: int, size: int) -> np.ndarray:
+    """Points (count, size) of a scrambled Sobol sequence, normally distributed."""
+    from scipy.special import ndtri
+
+    return ndtri(np.clip(sobol_rows(seed, count, size, 0, count), TAIL, 1 - TAIL))
+
+
+def _check(ledger: _Ledger, problem: Problem, z: np.ndarray, seed: int) -> GradientCheck:
+    """The check of the gradients at the first start. What it asks is kept and charged: differences
+    as evaluations, slopes along directions as one each."""
+    along = directions_of(len(z), DIRECTIONS, seed)
+    if len(z) <= FEW:
+        found = _oracle(ledger, problem).curvatures(z[None], np.zeros(1, int))
+        slopes = along @ found.of_runs[0].T
+    else:
+        question = digest("directional", z, along)
+        slopes = _kept(
+            ledger, question, float(DIRECTIONS),
+            lambda: {"slopes": problems.directional(problem, z, along)},
+        )["slopes"]  # fmt: skip
+    differences = []
+    for step in STEPS:
+        ends = np.concatenate([z + step * along, z - step * along])
+        rows = np.full(len(ends), SCREENING)
+        costs = _ask(ledger, problem, _values, 1.0, ends, rows)["costs"]
+        differences.append((costs[:DIRECTIONS] - costs[DIRECTIONS:]).T / (2 * step))
+    return judged(problem.run_names, slopes.T, differences)
+
+
+def _search(
+    ledger: _Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int, budget: float,
+    watch: Callable[[Progress], None],
+) -> tuple[list[Progress], str]:  # fmt: skip
+    """Step until the budget is spent or all starts are at their end."""
+    history: list[Progress] = []
+    state = method.begin(_oracle(ledger, problem), begun, seed)
+    while True:
+        history.append(_progress(ledger, state, len(history), budget))
+        watch(history[-1])
+        if ledger.units >= budget:
+            return history, "the budget is spent"
+        if np.all(state.done):
+            missed = problem.goals and min(b.key()[0] for b in ledger.best.values()) > 0
+            if not missed or problem.penalty * HARDER > HARDEST:
+                return history, "no start finds anything better"
+            problem = problem._replace(penalty=problem.penalty * HARDER)
+            again = np.stack([ledger.best[row].z for row in range(len(begun))])
+            state = method.begin(_oracle(ledger, problem), again, seed)
+            continue
+        state = method.step(_oracle(ledger, problem), state)
+
+
+def _progress(ledger: _Ledger, state: Any, step: int, budget: float) -> Progress:
+    best = min(ledger.best.values(), key=_Best.key)
+    norms = state.gradient_norm[np.isfinite(state.gradient_norm)]
+    left = max(budget - ledger.units, 0.0) * ledger.seconds / max(ledger.units, 1.0)
+    return Progress(
+        step=step, units=ledger.units, budget=budget, seconds=ledger.seconds, left_s=left,
+        best=best.objective, gradient_norm=float(np.min(norms)) if len(norms) else np.nan,
+        violation=best.violation, z=best.z,
+    )  # fmt: skip
+
+
+def _result(
+    problem: Problem, method: Method, ledger: _Ledger, begun: np.ndarray,
+    check: GradientCheck | None, history: list[Progress], ended: str,
+) -> Tuned:  # fmt: skip
+    best = min(ledger.best.values(), key=_Best.key)
+    assert problem.before is not None
+    results = tuple(
+        StartResult(z, ledger.best[k].z, ledger.best[k].objective, ledger.best[k].violation)
+        for k, z in enumerate(begun)
+    )
+    gains = problem.space.gains_of(jnp.asarray(best.z))
+    return Tuned(
+        method=method.name, n=problem.space.size, z=best.z, gains=gains,
+        before=float(problem.before.objective[0]), after=best.objective, violation=best.violation,
+        feasible=best.violation <= 0, units=ledger.units, seconds=ledger.seconds,
+        prices=ledger.prices, check=check, starts=results, history=tuple(history), ended=ended,
+    )  # fmt: skip
