@@ -29,6 +29,7 @@ def as_object(found: Analysis, folder: Path) -> dict[str, Any]:
                 "first": c.first,
                 "second": c.second,
                 "plants": c.plants,
+                "survived": c.survived,
                 "difference": _interval(c.difference),
                 "better": _share(c.better),
             }
@@ -74,7 +75,7 @@ def _indices(found: Indices | None) -> dict[str, Any] | None:
         return None
     rows = zip(found.names, found.first, found.first_error, found.total, found.total_error)  # noqa: B905
     return {
-        name: {"s1": float(s), "s1_error": float(e), "st": float(t), "st_error": float(u)}
+        name: {"s1": _number(s), "s1_error": _number(e), "st": _number(t), "st_error": _number(u)}
         for name, s, e, t, u in rows
     }
 
