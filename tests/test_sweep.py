@@ -7,7 +7,7 @@ import random
 import shutil
 import signal
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
 
 import distributed
@@ -22,7 +22,7 @@ from sweeping import REQUEST, sweep_in, table, text
 from tuning.scenarios import study_spreads
 from tuning.sweeps import replays, store
 from tuning.sweeps.analysis import Question, analyse
-from tuning.sweeps.cluster import local_workers, scheduler_at
+from tuning.sweeps.cluster import _told, local_workers, scheduler_at
 from tuning.sweeps.configuration import build, digest, drawn_values
 from tuning.sweeps.rows import parameter_columns
 from tuning.sweeps.summary import as_object
@@ -185,6 +185,8 @@ def test_no_scheduler_is_one_line():
     nobody = scheduler_at("tcp://127.0.0.1:9", timeout=0.5)
     with pytest.raises(OSError, match=r"--scheduler tcp://127\.0\.0\.1:9: "), nobody:
         raise AssertionError
+    with pytest.raises(OSError, match="scheduler is gone: finished chunks are kept"), _told():
+        raise CancelledError
     with pytest.raises(ValueError, match="--workers 0: must be >= 1"), local_workers(0):
         raise AssertionError
 

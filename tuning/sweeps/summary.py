@@ -67,7 +67,10 @@ def _interval(found: Interval | None) -> dict[str, float | None] | None:
 
 
 def _share(found: Share | None) -> dict[str, float | None] | None:
-    return {k: _number(v) for k, v in found._asdict().items()} if found else None
+    if found is None:
+        return None
+    interval = {name: _number(getattr(found, name)) for name in ("value", "low", "high")}
+    return {"count": found.count, "of": found.of, **interval}
 
 
 def _indices(found: Indices | None) -> dict[str, Any] | None:
