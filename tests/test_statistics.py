@@ -144,7 +144,7 @@ def test_controllers_are_compared_plant_by_plant():
     survived = np.isfinite(a) & np.isfinite(b)
     assert lost.difference.value == pytest.approx(np.mean((a - b)[survived]))
     assert lost.better.count == np.sum((a < b)[survived]) + 3, "lost by b alone: plants 5, 6, 7"
-    assert lost.better.of == 400
+    assert lost.better.of == lost.plants == 400 and lost.survived == 392
 
 
 # --- specification ---------------------------------------------------------------------------
@@ -257,7 +257,10 @@ def test_rank_correlation_and_the_ends_of_a_sweep():
     assert rank_correlation(x, -(x**3)) == pytest.approx(-1)
     assert rank_correlation(x, np.ones(500)) is None
     y = np.where(x < 0.5, np.nan, x)
-    assert rank_correlation(x, y) == pytest.approx(1)
+    lost_as_worst = stats.spearmanr(x, np.where(np.isnan(y), 2.0, y)).statistic
+    assert rank_correlation(x, y) == pytest.approx(lost_as_worst) and lost_as_worst < -0.2
+    assert rank_correlation(np.round(x), np.where(x < 0.5, np.nan, 3.0)) == pytest.approx(-1)
+    assert rank_correlation(x, np.full(500, np.nan)) is None
     low, high = at_the_ends(x, x**2)
     ordered = np.sort(x)
     assert low == np.median(ordered[:50] ** 2) and high == np.median(ordered[-50:] ** 2)

@@ -7,7 +7,7 @@ import random
 import shutil
 import signal
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
 
 import distributed
@@ -22,8 +22,11 @@ from sweeping import REQUEST, sweep_in, table, text
 from tuning.folders import digest
 from tuning.scenarios import study_spreads
 from tuning.sweeps import replays, store
-from tuning.sweeps.cluster import local_workers, scheduler_at
-from tuning.sweeps.configuration import build
+from tuning.sweeps.analysis import Question, analyse
+from tuning.sweeps.cluster import _told, local_workers, scheduler_at
+from tuning.sweeps.configuration import build, drawn_values
+from tuning.sweeps.rows import parameter_columns
+from tuning.sweeps.summary import as_object
 from tuning.sweeps.sweep import sweep
 
 
@@ -183,6 +186,8 @@ def test_no_scheduler_is_one_line():
     nobody = scheduler_at("tcp://127.0.0.1:9", timeout=0.5)
     with pytest.raises(OSError, match=r"--scheduler tcp://127\.0\.0\.1:9: "), nobody:
         raise AssertionError
+    with pytest.raises(OSError, match="scheduler is gone: finished chunks are kept"), _told():
+        raise CancelledError
     with pytest.raises(ValueError, match="--workers 0: must be >= 1"), local_workers(0):
         raise AssertionError
 
@@ -276,6 +281,36 @@ def test_a_folder_is_never_overwritten(whole, tmp_path):
 def test_another_version_refuses_to_go_on(whole):
     with pytest.raises(ValueError, match=r"configured with jax 0\.0\.1, here is"):
         build(text().replace(f'jax = "{jax.__version__}"', 'jax = "0.0.1"'))
+
+
+# --- what is said of it ---------------------------------------------------------------------------
+
+
+def test_what_cannot_be_said_does_not_cost_the_rest(tmp_path):
+    """A Saltelli design with lost runs: few are left out, many leave no index, never no answer."""
+    runs = 14 * 64  # twelve uncertain values
+    configuration = text(design="saltelli", runs=runs, chunk=runs)
+    plan = build(configuration)
+    drawn = parameter_columns(plan.spaces[0].uncertain, drawn_values(plan, 0, 0, runs))
+    for lost, says in ((1, "leave out 1.6% of the blocks"), (7, "there are no Sobol indices")):
+        figure = 1e3 * drawn["plant_mass_x_kg"]
+        figure[: 14 * lost : 14] = np.nan
+        rows = pa.table({
+            "loop": ["pi-circle"] * runs, "run": np.arange(runs), **drawn,
+            "contour_max_um": pa.array(figure, mask=np.isnan(figure)),
+            "finite": np.isfinite(figure), "lost_at_s": np.where(np.isnan(figure), 0.1, np.nan),
+        }).replace_schema_metadata({"configuration_sha256": digest(configuration)})  # fmt: skip
+        folder = tmp_path / str(lost)
+        store.create(folder, configuration, resume=False)
+        store.write(folder, plan, 0, rows)
+        found = analyse(folder, plan, Question(spec="contour_max_um < 3"))
+        (loop,) = found.loops
+        assert (loop.indices is not None) == (lost == 1)
+        assert loop.met.of == 64 and loop.met.count == np.sum(figure[::14] < 3)
+        assert any(says in note and note.startswith("pi-circle: ") for note in found.notes)
+        drawn_again = as_object(found, folder)
+        assert (drawn_again["loops"][0]["sobol_indices"] is not None) == (lost == 1)
+    assert loop.correlations["plant_mass_x_kg"] > 0.9
 
 
 # --- replay ----------------------------------------------------------------------------------

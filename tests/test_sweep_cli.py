@@ -242,6 +242,10 @@ WRONG = {
         ["sweep", "pi-circle", "--gains", "cmac-circle=g.toml", "--out", "new"],
         "is not swept",
     ),
+    "gains twice": (
+        ["sweep", "pi-circle", "--gains", "a.toml", "--gains", "b.toml", "--out", "new"],
+        "pi-circle has a.toml already",
+    ),
     "workers": (["sweep", "pi-circle", "--workers", "0", "--out", "new"], "--workers 0: must be"),
     "cores": (["sweep", "pi-circle", "--cores", "0", "--out", "new"], "--cores 0: must be >= 1"),
     "both": (

@@ -81,11 +81,12 @@ def test_a_tornado_starts_at_the_nominal_plant():
         sweep.Effect("plant.mass x", 8.0, 14.0, (9.0, 13.0)),
         sweep.Effect("plant.load x", 12.0, 9.0),
     ]
-    drawn = sweep.tornado("pi-circle", 10.0, effects, SHEET)
+    drawn = sweep.tornado("pi-circle", 10.0, effects, SHEET, ("drive.delay",))
     (ax,) = drawn.axes
     ends = sorted((bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches)
     assert {x for pair in ends for x in pair} == {8.0, 9.0, 10.0, 12.0, 14.0}
     assert "nominal plant: 10" in words(drawn)
+    assert "there is no slope: drive.delay." in " ".join(words(drawn).split())
     diamonds = [line.get_xdata()[0] for line in ax.lines if line.get_marker() == "D"]
     assert diamonds == [9.0, 13.0]
 
@@ -95,6 +96,30 @@ def test_indices_are_ordered_by_their_total():
     (ax,) = sweep.indices("pi-circle", found, SHEET).axes
     assert [label.get_text() for label in ax.get_yticklabels()] == ["b", "a"]
     assert sorted(bar.get_width() for bar in ax.patches) == [0.1, 0.2, 0.3, 0.7]
+
+
+def test_plants_that_are_no_sample_have_no_band():
+    drawn = sweep.distribution([ONE], SHEET)
+    corners = sweep.distribution([ONE._replace(chance=False)], SHEET)
+    assert len(drawn.axes[1].collections) == len(corners.axes[1].collections) + 1
+    assert "no sample of the spreads" in words(corners) and "band" not in words(corners)
+
+
+def test_equal_figures_are_better_for_neither():
+    told = words(sweep.versus(ONE, ONE, "Each dot is one plant.", SHEET))
+    finite = int(np.isfinite(ONE.values).sum())
+    for text in ("pi-circle smaller: 0 plants", f"the same: {finite} plants"):
+        assert text in told, text
+
+
+def test_a_value_of_few_kinds_has_a_tick_and_a_median_for_each():
+    delay = np.repeat([0.0, 1.0, 2.0, 2.0], 100)
+    (ax,) = sweep.parameters(ONE, {"drive.delay": delay}, {"drive.delay": -0.001}, SHEET).axes
+    assert ax.get_xticks().tolist() == [0, 1, 2] and ax.get_title("right") == "rho +0.00"
+    (median,) = [line for line in ax.lines if len(line.get_xdata()) == 3]
+    kept = np.isfinite(ONE.values)
+    wanted = [np.median(ONE.values[kept & (delay == value)]) for value in (0, 1, 2)]
+    assert median.get_ydata().tolist() == wanted
 
 
 def test_one_controller_against_another():

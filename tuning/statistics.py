@@ -168,12 +168,14 @@ def _ranked(ranked: np.ndarray, level: float) -> Interval:
 
 class Comparison(NamedTuple):
     """Two controllers on the same plants. difference: of their figures, first minus second, mean
-    over the plants that both survived. better: share of plants on which the first has the smaller
-    figure, a lost run losing to any other; plants on which both are lost count for neither."""
+    over the ``survived`` plants, which neither lost. better: share of plants on which the first has
+    the smaller figure, a lost run losing to any other; plants on which both are lost count for
+    neither."""
 
     first: str
     second: str
     plants: int
+    survived: int
     difference: Interval | None
     better: Share
 
@@ -184,4 +186,4 @@ def paired(first: str, a: np.ndarray, second: str, b: np.ndarray) -> Comparison:
     gap = (a - b)[both]
     better = int(np.sum(np.where(np.isnan(a), np.inf, a) < np.where(np.isnan(b), np.inf, b)))
     difference = bootstrap(gap, np.mean) if len(gap) > 1 else None
-    return Comparison(first, second, len(a), difference, share(better, len(a)))
+    return Comparison(first, second, len(a), len(gap), difference, share(better, len(a)))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from jaxstage.plot.style import AXIS_COLOURS, LARGE, LOST, NORMAL, REFERENCE, SMALL, dress
 
@@ -25,13 +25,14 @@ DECADES = 20.0
 class Sample(NamedTuple):
     """One loop of a sweep. values: its figure, (n,), NaN where lost. passed: (n,), or None without
     a specification. text: what is said of it. met: share that meets the specification, and its
-    interval, or None."""
+    interval, or None. chance: whether the plants are a sample of the spreads, as a band needs."""
 
     name: str
     values: np.ndarray
     passed: np.ndarray | None
     text: str = ""
     met: tuple[float, float, float] | None = None
+    chance: bool = True
 
 
 class Sheet(NamedTuple):
@@ -76,6 +77,10 @@ def distribution(samples: Sequence[Sample], sheet: Sheet) -> Figure:
         "Left: how often each value occurs. Right: share of all plants with at most this value, "
         "with its 95 % band (Dvoretzky-Kiefer-Wolfowitz); a curve that ends below 1 has lost runs. "
         "Bar on the limit: share that meets the whole specification, 95 % interval."
+        if all(sample.chance for sample in samples)
+        else "Left: how often each value occurs. Right: share of the plants that were run with at "
+        "most this value; a curve that ends below 1 has lost runs. These plants are no sample of "
+        "the spreads: the shares are no probabilities."
     )
     drawn = sheet_figure(
         f"{sheet.label}: its distribution over the plants", text, sheet.footer, 17, 7.5
@@ -102,6 +107,7 @@ def distribution(samples: Sequence[Sample], sheet: Sheet) -> Figure:
                 sheet.limit, value, [[value - least], [most - value]], color=colour, marker="o",
                 markersize=6, capsize=5, elinewidth=2, zorder=5,
             )  # fmt: skip
+    often.yaxis.set_major_locator(MaxNLocator(integer=True))
     for ax, side in ((often, "plants"), (share, "share of plants")):
         dress(ax, sheet.label, side)
         if sheet.limit is not None:
@@ -126,10 +132,11 @@ def _cumulative(ax: Axes, sample: Sample, kept: np.ndarray, colour: str) -> None
     label = sample.name + (f": {sample.text}" if sample.text else "")
     label += f"; {lost} lost" if lost else ""
     ax.step(x[thin], y[thin], where="post", color=colour, linewidth=1.8, label=label)
-    ax.fill_between(
-        x[thin], np.maximum(y[thin] - band, 0), np.minimum(y[thin] + band, 1), step="post",
-        color=colour, alpha=0.18, linewidth=0,
-    )  # fmt: skip
+    if sample.chance:
+        ax.fill_between(
+            x[thin], np.maximum(y[thin] - band, 0), np.minimum(y[thin] + band, 1), step="post",
+            color=colour, alpha=0.18, linewidth=0,
+        )  # fmt: skip
 
 
 def parameters(
@@ -146,9 +153,9 @@ def parameters(
     across = min(4, len(order))
     rows = -(-len(order) // across)
     text = (
-        "Each dot is one plant; the strongest influence first. Black: median of twelve slices. "
-        "rho: rank correlation. Crosses do not meet the specification; triangles at the top were "
-        "lost."
+        "Each dot is one plant; the strongest influence first. Black: median of twelve slices, or "
+        "of each value. rho: rank correlation, lost runs as the worst. Crosses do not meet the "
+        "specification; triangles at the top were lost."
     )
     if sheet.limit is not None and not _beside(sheet.limit, sample.values):
         text += f" The limit of {sheet.limit:g} is off the scale."
@@ -161,9 +168,11 @@ def parameters(
         scale((ax.set_yscale,), sample.values)
         _scatter(ax, columns[name], sample, finite)
         rho = correlations.get(name)
-        ax.set_title("" if rho is None else f"rho {rho:+.2f}", fontsize=NORMAL, loc="right")
+        told = "" if rho is None else f"rho {round(rho, 2) + 0.0:+.2f}"  # no -0.00
+        ax.set_title(told, fontsize=NORMAL, loc="right")
         dress(ax, name, sheet.label if index % across == 0 else "")
-        ax.xaxis.set_major_locator(MaxNLocator(4))
+        few = np.unique(columns[name])
+        ax.xaxis.set_major_locator(FixedLocator(few.tolist()) if len(few) <= 4 else MaxNLocator(4))
         if sheet.limit is not None and seen:
             ax.axhline(sheet.limit, color=LOST, linestyle="--", linewidth=1.2)
     for ax in list(panels.flat)[len(order) :]:
@@ -207,7 +216,12 @@ def _scatter(ax: Axes, x: np.ndarray, sample: Sample, finite: np.ndarray) -> Non
 def _medians(ax: Axes, x: np.ndarray, y: np.ndarray, slices: int = 12) -> None:
     if len(x) < 10 * slices or np.ptp(x) == 0:
         return
-    parts = np.array_split(np.argsort(x), slices)
+    few = np.unique(x)
+    parts = (
+        [np.flatnonzero(x == value) for value in few]
+        if len(few) <= slices
+        else np.array_split(np.argsort(x, kind="stable"), slices)
+    )
     middle = [np.median(x[part]) for part in parts]
     ax.plot(middle, [np.median(y[part]) for part in parts], color=REFERENCE, linewidth=1.6)
 
@@ -224,16 +238,23 @@ class Effect(NamedTuple):
     seen: tuple[float, float] | None = None
 
 
-def tornado(name: str, nominal: float, effects: Sequence[Effect], sheet: Sheet) -> Figure:
-    """First-order effect of each value around the nominal plant, the largest on top."""
+def tornado(
+    name: str, nominal: float, effects: Sequence[Effect], sheet: Sheet,
+    left_out: Sequence[str] = (),
+) -> Figure:  # fmt: skip
+    """First-order effect of each value around the nominal plant, the largest on top. left_out: what
+    has no slope."""
     text = (
         "Bars: from one differentiated run of the nominal plant, its slope times the way to the "
         "5 % and the 95 % quantile of each value alone. Diamonds: what the sweep shows, the median "
-        "of the plants in the lowest and in the highest tenth of that value. Where they disagree, "
-        "the slope at the nominal plant does not hold over the spread."
+        "of the plants in the lowest and in the highest tenth of that value, all others spread "
+        "(so they may lie beside the nominal plant, and scatter by chance). Where a pair spans "
+        "clearly more or less than its bar, the slope does not hold over the spread."
     )
+    if left_out:
+        text += f" Not drawn, as there is no slope: {', '.join(left_out)}."
     title = f"{name}: first-order effect of each uncertain value"
-    drawn = sheet_figure(title, text, sheet.footer, 12, 2.6 + 0.42 * len(effects))
+    drawn = sheet_figure(title, text, sheet.footer, 12, 3.2 + 0.42 * len(effects))
     ax = drawn.subplots()
     for row, effect in enumerate(effects):
         for end, colour, which in (
@@ -254,8 +275,16 @@ def tornado(name: str, nominal: float, effects: Sequence[Effect], sheet: Sheet) 
     ax.grid(False, axis="y")
     if sheet.limit is not None and _near(sheet.limit, nominal, effects):
         ax.axvline(sheet.limit, color=LOST, linestyle="--", linewidth=1.5, label="limit")
-    ax.legend(loc="lower right", fontsize=SMALL, frameon=True, framealpha=0.9)
+    _legend_above(ax)
     return drawn
+
+
+def _legend_above(ax: Axes) -> None:
+    """In one row over the axes: no bar and no mark is hidden."""
+    ax.legend(
+        loc="lower right", bbox_to_anchor=(1, 1), ncols=3, fontsize=SMALL, frameon=False,
+        borderaxespad=0.2,
+    )  # fmt: skip
 
 
 def _near(limit: float, nominal: float, effects: Sequence[Effect]) -> bool:
@@ -299,7 +328,7 @@ def indices(name: str, found: Sequence[Index], sheet: Sheet) -> Figure:
     ax.axvline(0, color=REFERENCE, linewidth=0.8)
     dress(ax, "share of the variance", "")
     ax.grid(False, axis="y")
-    ax.legend(loc="lower right", fontsize=SMALL, frameon=True, framealpha=0.9)
+    _legend_above(ax)
     return drawn
 
 
@@ -311,11 +340,13 @@ def versus(a: Sample, b: Sample, text: str, sheet: Sheet) -> Figure:
     scale((ax.set_xscale, ax.set_yscale), np.concatenate([a.values, b.values]))
     x, y = a.values[both], b.values[both]
     step = max(1, len(x) // (2 * POINTS))
-    smaller = x < y
     for part, colour, label in (
-        (smaller, AXIS_COLOURS[0], f"{a.name} smaller"),
-        (~smaller, AXIS_COLOURS[1], f"{b.name} smaller"),
+        (x < y, AXIS_COLOURS[0], f"{a.name} smaller"),
+        (x > y, AXIS_COLOURS[1], f"{b.name} smaller"),
+        (x == y, REFERENCE, "the same"),
     ):
+        if colour == REFERENCE and not part.any():
+            continue
         ax.plot(
             x[part][::step], y[part][::step], linestyle="", marker=".", markersize=3.5, alpha=0.5,
             color=colour, label=f"{label}: {part.sum()} plants", rasterized=True,

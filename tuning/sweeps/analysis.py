@@ -52,6 +52,7 @@ class LoopResult(NamedTuple):
     """One loop. columns: all that was asked about, (runs,). passed: where a specification is
     given. sampled: the rows that are a sample of the spreads, on which shares and statistics rest.
     ends: column of a parameter -> median figure where it is lowest and where it is highest.
+    notes: what is not said of the effects, and why.
     """
 
     name: str
@@ -66,6 +67,7 @@ class LoopResult(NamedTuple):
     indices: Indices | None
     tornado: Tornado | None
     ends: dict[str, tuple[float, float] | None]
+    notes: tuple[str, ...]
 
 
 class Analysis(NamedTuple):
@@ -139,7 +141,8 @@ def analyse(folder: Path, plan: Plan, question: Question) -> Analysis:
     pairs = [(a, b) for i, a in enumerate(loops) for b in loops[i + 1 :]]
     comparisons = [_compare(a, b, metric, parameters) for a, b in pairs]
     kept = tuple(c for c in comparisons if c is not None)
-    return Analysis(plan, metric, spec, tuple(loops), kept, _notes(plan, len(kept) < len(pairs)))
+    notes = _notes(plan, len(kept) < len(pairs)) + tuple(n for loop in loops for n in loop.notes)
+    return Analysis(plan, metric, spec, tuple(loops), kept, notes)
 
 
 def _loop_result(
@@ -156,6 +159,7 @@ def _loop_result(
     if passed is not None and sampled.any():
         met = share(int(passed[sampled].sum()), int(sampled.sum()))
     judged = claim(met, question.target) if met and question.target is not None else None
+    indices, slopes, notes = _effects(plan, loop, values, metric, question)
     return LoopResult(
         name=plan.table["loop"][loop]["name"],
         columns=columns,
@@ -170,19 +174,42 @@ def _loop_result(
             for item in space.uncertain
             for column in item.numbers()
         },
-        indices=sobol_indices(names_of(space), values) if design.name == "saltelli" else None,
-        tornado=_tornado(plan, loop, metric) if question.tornado else None,
+        indices=indices,
+        tornado=slopes,
         ends={
             column: at_the_ends(columns[column][sampled], values[sampled])
             for item in space.uncertain
             for column in item.numbers()
         },
+        notes=notes,
     )
 
 
-def _tornado(plan: Plan, loop: int, metric: str) -> Tornado:
-    with jax.enable_x64(plan.table["precision"] == "double"):
-        return tornado(plan.cases[loop], plan.spaces[loop], metric)
+def _effects(
+    plan: Plan, loop: int, values: np.ndarray, metric: str, question: Question
+) -> tuple[Indices | None, Tornado | None, tuple[str, ...]]:
+    """Sobol indices and tornado where asked for, and notes: what cannot be had must not cost the
+    other answers."""
+    space, name = plan.spaces[loop], plan.table["loop"][loop]["name"]
+    indices = slopes = None
+    notes = []
+    try:
+        if plan.table["design"] == "saltelli":
+            indices = sobol_indices(names_of(space), values)
+            if indices.dropped:
+                part = f"{indices.dropped:.1%} of the blocks"
+                notes.append(f"the Sobol indices leave out {part}, which hold a lost run")
+    except ValueError as error:
+        notes.append(str(error))
+    try:
+        if question.tornado:
+            with jax.enable_x64(plan.table["precision"] == "double"):
+                slopes = tornado(plan.cases[loop], space, metric)
+            if slopes.left_out:
+                notes.append(f"no slope, not in the tornado: {', '.join(slopes.left_out)}")
+    except ValueError as error:
+        notes.append(str(error))
+    return indices, slopes, tuple(f"{name}: {note}" for note in notes)
 
 
 def _compare(a: LoopResult, b: LoopResult, metric: str, parameters: list[str]) -> Comparison | None:

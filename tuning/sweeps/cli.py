@@ -132,6 +132,8 @@ def _gains(loops: list[str], words: list[str]) -> dict[str, Path]:
             loop, file = loops[0], word
         if loop not in loops:
             raise ValueError(f"--gains {word}: {loop} is not swept")
+        if loop in found:
+            raise ValueError(f"--gains {word}: {loop} has {found[loop]} already")
         found[loop] = Path(file)
     return found
 

@@ -1,7 +1,9 @@
 """Executors on many machines or processes, by Dask distributed (an extra)."""
 
+import logging
+import sys
 from collections.abc import Iterator
-from concurrent.futures import Executor
+from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager
 
 _MISSING = "--workers and --scheduler need Dask: pip install 'jaxstage[cluster]'"
@@ -38,17 +40,22 @@ def scheduler_at(address: str, timeout: float = 10.0) -> Iterator[Executor]:
         client = Client(address, timeout=timeout)
     except (OSError, ValueError) as error:
         raise OSError(f"--scheduler {address}: {error}") from None
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # `_told` says it
     with client, _told():
+        if not client.nthreads():
+            print(f"jaxstage: {address} has no workers yet: waiting for them", file=sys.stderr)
         yield client.get_executor()
 
 
 @contextmanager
 def _told() -> Iterator[None]:
-    """A chunk whose workers die again and again, in one line."""
+    """A scheduler that is gone, or a chunk whose workers die again and again, in one line."""
     from distributed import KilledWorker
 
     try:
         yield
+    except CancelledError:
+        raise OSError("the scheduler is gone: finished chunks are kept, --resume goes on") from None
     except KilledWorker as error:
         raise OSError(
             f"{error.allowed_failures + 1} workers died on one chunk (out of memory?): finished "

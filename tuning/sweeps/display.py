@@ -14,7 +14,7 @@ from rich.table import Table
 
 from jaxstage.metrics.table import split_key
 from tuning.statistics import Claim, Interval, Share
-from tuning.sweeps.analysis import Analysis, LoopResult
+from tuning.sweeps.analysis import Analysis, LoopResult, choose_metric
 from tuning.sweeps.sweep import Progress
 
 #: parameters that are named as the most important ones
@@ -30,7 +30,10 @@ def bar(metric: str, total: int) -> Iterator[Callable[[Progress], None]]:
         TimeRemainingColumn(), TextColumn("{task.fields[state]}"),
     )  # fmt: skip
     lost, worst = 0, -np.inf
-    with RichProgress(*columns, console=Console(stderr=True)) as progress:
+    # a chunk may take minutes: the rate is that of all chunks so far
+    with RichProgress(
+        *columns, console=Console(stderr=True), speed_estimate_period=np.inf
+    ) as progress:
         task = progress.add_task("", total=total, rate="", state="")
 
         def watch(now: Progress) -> None:
@@ -61,13 +64,15 @@ def show(found: Analysis, answer: dict[str, Any]) -> None:
     for loop in found.loops:
         _influences(console, loop)
     for c in found.comparisons:
-        gap = _interval(c.difference)
+        both = "" if c.survived == c.plants else f" of the {c.survived} that neither lost"
         console.print(
-            f"{c.first} - {c.second} on the same {c.plants} plants: mean {gap} {unit}, smaller on "
-            f"{share_text(c.better)} of them"
+            f"{c.first} - {c.second} on the same {c.plants} plants: mean{both} "
+            f"{_interval(c.difference)} {unit}; {c.first} smaller on {share_text(c.better)}"
         )
     rows = ", ".join(f"{w['loop']} run {w['run']}: {_worst(w, unit)}" for w in answer["worst"][:3])
-    console.print(f"worst: {rows}  (jaxstage replay {answer['sweep']} --worst K)")
+    again = f"jaxstage replay {answer['sweep']} --worst K"
+    asked = "" if found.metric == choose_metric(found.plan, None, None) else found.metric
+    console.print(f"worst: {rows}  ({again}{asked and ' --metric '}{asked})")
     for note in found.notes:
         console.print(f"[dim]{note}[/dim]")
 
@@ -94,7 +99,8 @@ def _lines(loop: LoopResult, figure: str) -> Iterator[tuple[str, str, str]]:
     if loop.claim:
         yield f"yield >= {loop.claim.target:.4g}", "", claim_text(loop.claim)
     if loop.figures:
-        for name, key in (("mean", "mean"), ("P50", "p50"), ("P95", "p95"), ("CVaR 95", "cvar95")):
+        mean = "mean (not lost)" if loop.lost else "mean"
+        for name, key in ((mean, "mean"), ("P50", "p50"), ("P95", "p95"), ("CVaR 95", "cvar95")):
             stated: Interval | None = getattr(loop.figures, key)
             if stated:
                 yield f"{figure} {name}", f"{stated.value:.4g}", _ends(stated)
@@ -139,7 +145,7 @@ def _ends(found: Interval) -> str:
 def _worst(row: dict[str, Any], unit: str) -> str:
     if row["value"] is None:
         return f"lost at {row['lost_at_s']:.4g} s" if row["lost_at_s"] is not None else "no figure"
-    return f"{row['value']:.4g} {unit}"
+    return f"{row['value']:.4g} {unit}".rstrip()
 
 
 def show_replayed(rows: list[dict[str, Any]], out: Path | None) -> None:

@@ -18,7 +18,8 @@ def pictures(found: Analysis, folder: Path) -> list[Path]:
     """Draw all that applies; returns the files."""
     sheet = _sheet(found)
     samples = {loop.name: _sample(loop, found.metric) for loop in found.loops}
-    drawn = {"distribution": sweep.distribution(list(samples.values()), sheet)}
+    by_chance = {loop.name: _by_chance(samples[loop.name], loop) for loop in found.loops}
+    drawn = {"distribution": sweep.distribution(list(by_chance.values()), sheet)}
     labels = {
         column: f"{label} ({item.unit})" if item.unit != "1" else label
         for item in found.plan.spaces[0].uncertain
@@ -33,7 +34,7 @@ def pictures(found: Analysis, folder: Path) -> list[Path]:
         drawn |= _effects(loop, sheet)
     for c in found.comparisons:
         drawn[f"{c.first}-against-{c.second}"] = sweep.versus(
-            samples[c.first], samples[c.second], _words(c, found.metric), sheet
+            by_chance[c.first], by_chance[c.second], _words(c, found.metric), sheet
         )
     files = [folder / f"{name}.png" for name in drawn]
     for file, figure in zip(files, drawn.values(), strict=True):
@@ -48,7 +49,9 @@ def _effects(loop: LoopResult, sheet: sweep.Sheet) -> dict[str, sweep.Figure]:
             sweep.Effect(bar.name, bar.low, bar.high, loop.ends[bar.column])
             for bar in loop.tornado.bars
         ]
-        drawn[f"{loop.name}-tornado"] = sweep.tornado(loop.name, loop.tornado.nominal, bars, sheet)
+        drawn[f"{loop.name}-tornado"] = sweep.tornado(
+            loop.name, loop.tornado.nominal, bars, sheet, loop.tornado.left_out
+        )
     if loop.indices is not None:
         i = loop.indices
         rows = zip(i.names, i.first, i.first_error, i.total, i.total_error, strict=True)
@@ -82,13 +85,24 @@ def _sample(loop: LoopResult, metric: str) -> sweep.Sample:
     return sweep.Sample(loop.name, np.asarray(loop.columns[metric]), loop.passed, text, interval)
 
 
+def _by_chance(sample: sweep.Sample, loop: LoopResult) -> sweep.Sample:
+    """Only the runs that are a sample of the spreads; all where none are."""
+    rows = loop.sampled
+    if not rows.any():
+        return sample._replace(chance=False)
+    passed = None if sample.passed is None else sample.passed[rows]
+    return sample._replace(values=sample.values[rows], passed=passed)
+
+
 def _words(c: Comparison, metric: str) -> str:
     unit = split_key(metric)[1].replace("um", "µm")
     gap = ""
     if c.difference is not None:
         d = c.difference
-        gap = f"Mean difference {d.value:.4g} {unit} (95 %: {d.low:.4g}..{d.high:.4g}). "
+        both = "" if c.survived == c.plants else f" on the {c.survived} plants that neither lost"
+        interval = f"(95 %: {d.low:.4g}..{d.high:.4g})"
+        gap = f"Mean difference {d.value:.4g} {unit} {interval}{both}. "
     return (
         f"Each dot is one plant under both laws. {gap}{c.first} is the smaller one on "
-        f"{share_text(c.better)} of the plants."
+        f"{share_text(c.better)} of the plants; a lost run is larger than any other."
     )

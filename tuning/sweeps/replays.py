@@ -1,11 +1,13 @@
 """Runs of a sweep again: redrawn from (seed, run), simulated, and held against their rows."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import tomli_w
 
@@ -27,10 +29,13 @@ LANES = 64
 
 
 def stored_devices(folder: Path) -> int:
-    """The most devices that a chunk of a sweep was computed on; JAX need not have started."""
-    files = (folder / store.RUNS).glob("*/*.parquet")
-    found = [int((pq.read_metadata(file).metadata or {}).get(b"devices", b"1")) for file in files]
-    return max(found, default=1)
+    """The most devices that a chunk of a sweep was computed on;
+    JAX need not have started."""
+    found = [1]
+    for file in (folder / store.RUNS).glob("*/*.parquet"):
+        with suppress(OSError, pa.ArrowInvalid):  # not whole: no row of it is read
+            found.append(int((pq.read_metadata(file).metadata or {}).get(b"devices", b"1")))
+    return max(found)
 
 
 def choose(

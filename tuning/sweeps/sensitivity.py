@@ -20,7 +20,7 @@ from jaxstage.gradients import select, value_and_gradient
 from jaxstage.metrics.table import key
 from jaxstage.rollout import simulate
 from jaxstage.studies import Case
-from tuning.scenarios import Space
+from tuning.scenarios import Space, Uncertain
 
 #: of the blocks of a Saltelli design, how many may hold a lost run before no index is given
 MOST_LOST = 0.1
@@ -52,7 +52,8 @@ def names_of(space: Space) -> tuple[str, ...]:
 def sobol_indices(names: Sequence[str], values: np.ndarray, seed: int = 0) -> Indices:
     """Indices of a figure over a Saltelli design, (blocks x (len(names) + 2),), NaN where lost.
 
-    Raises ValueError where SALib is not installed, or too many blocks hold a lost run.
+    Raises ValueError where SALib is not installed, too many blocks hold a lost run, or the figure
+    does not vary.
     """
     try:
         from SALib.analyze import sobol
@@ -66,6 +67,8 @@ def sobol_indices(names: Sequence[str], values: np.ndarray, seed: int = 0) -> In
             f"{dropped:.0%} of the blocks hold a lost run (at most {MOST_LOST:.0%}): what is left "
             "is no sample of the spreads, so there are no Sobol indices"
         )
+    if np.ptp(blocks[whole]) == 0:
+        raise ValueError("the figure is the same in all runs: there are no Sobol indices")
     problem = {"num_vars": len(names), "names": list(names), "bounds": [[0, 1]] * len(names)}
     found = sobol.analyze(
         problem, blocks[whole].reshape(-1), calc_second_order=False, num_resamples=200, seed=seed
@@ -77,11 +80,12 @@ def sobol_indices(names: Sequence[str], values: np.ndarray, seed: int = 0) -> In
 
 
 def rank_correlation(parameter: np.ndarray, values: np.ndarray) -> float | None:
-    """Spearman's rho of a parameter and a figure, (n,) each, where there is one."""
-    kept = np.isfinite(values)
-    if kept.sum() < 3 or np.ptp(parameter[kept]) == 0 or np.ptp(values[kept]) == 0:
+    """Spearman's rho of a parameter and a figure, (n,) each, where there is one. Lost runs, NaN,
+    are worse than all others: what breaks a loop must not drop out of its reasons."""
+    ranks = [stats.rankdata(x) for x in (parameter, np.where(np.isnan(values), np.inf, values))]
+    if len(values) < 3 or not all(np.ptp(rank) for rank in ranks):
         return None
-    return float(np.corrcoef(stats.rankdata(parameter[kept]), stats.rankdata(values[kept]))[0, 1])
+    return float(np.corrcoef(*ranks)[0, 1])
 
 
 def at_the_ends(parameter: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:
@@ -109,8 +113,8 @@ class Bar(NamedTuple):
 
 
 class Tornado(NamedTuple):
-    """nominal: the figure of the nominal plant. bars: by descending width. left_out: what has no
-    slope here (values of the reference)."""
+    """nominal: the figure of the nominal plant. bars: by descending width. left_out: settings that
+    have no slope: whole numbers, values of the reference, and what is nominally without limit."""
 
     nominal: float
     bars: tuple[Bar, ...]
@@ -121,9 +125,11 @@ def tornado(case: Case, space: Space, column: str) -> Tornado:
     """The effect of each uncertain number on a figure, from one run in reverse mode.
 
     column: a figure as `rows.figure_columns` names it. Raises ValueError where the nominal run is
-    lost.
+    lost, and where no slope is finite.
     """
-    items = [item for item in space.uncertain if not item.path.startswith("reference.")]
+    items = [item for item in space.uncertain if _has_slope(item)]
+    if not items:
+        raise ValueError("no uncertain value has a slope: there is no tornado")
     chosen = select((), case.scenario, tuple(item.path for item in items))
     segment = max(1, math.isqrt(case.window.ticks))
     loop = replace(case.loop, segment=segment)
@@ -135,7 +141,9 @@ def tornado(case: Case, space: Space, column: str) -> Tornado:
 
     value, slope = jax.jit(value_and_gradient(function, forward=False))(chosen.vector)
     if not np.isfinite(value):
-        raise ValueError(f"the nominal run of {case.name} is lost: there is no slope")
+        raise ValueError("the nominal run is lost: there is no tornado")
+    if not np.isfinite(slope).all():
+        raise ValueError("the slope of the nominal run is not finite: there is no tornado")
     bars, at, slopes = [], 0, np.asarray(slope, float)
     for item in items:
         part = slopes[at : at + item.nominal.size]
@@ -152,7 +160,14 @@ def tornado(case: Case, space: Space, column: str) -> Tornado:
     return Tornado(float(value), tuple(bars), left_out)
 
 
-def _ends(item: Any) -> tuple[float, float]:
+def _has_slope(item: Uncertain) -> bool:
+    counted = item.path == "drive.delay"  # in whole control periods
+    return not (counted or item.path.startswith("reference.")) and bool(
+        np.isfinite(item.nominal).all()
+    )
+
+
+def _ends(item: Uncertain) -> tuple[float, float]:
     low, high = item.distribution.quantile(np.array([QUANTILE, 1 - QUANTILE]))
     return float(low), float(high)
 

@@ -29,6 +29,7 @@ def as_object(found: Analysis, folder: Path) -> dict[str, Any]:
                 "first": c.first,
                 "second": c.second,
                 "plants": c.plants,
+                "survived": c.survived,
                 "difference": _interval(c.difference),
                 "better": _share(c.better),
             }
@@ -66,7 +67,10 @@ def _interval(found: Interval | None) -> dict[str, float | None] | None:
 
 
 def _share(found: Share | None) -> dict[str, float | None] | None:
-    return {k: _number(v) for k, v in found._asdict().items()} if found else None
+    if found is None:
+        return None
+    interval = {name: _number(getattr(found, name)) for name in ("value", "low", "high")}
+    return {"count": found.count, "of": found.of, **interval}
 
 
 def _indices(found: Indices | None) -> dict[str, Any] | None:
@@ -74,7 +78,7 @@ def _indices(found: Indices | None) -> dict[str, Any] | None:
         return None
     rows = zip(found.names, found.first, found.first_error, found.total, found.total_error)  # noqa: B905
     return {
-        name: {"s1": float(s), "s1_error": float(e), "st": float(t), "st_error": float(u)}
+        name: {"s1": _number(s), "s1_error": _number(e), "st": _number(t), "st_error": _number(u)}
         for name, s, e, t, u in rows
     }
 
