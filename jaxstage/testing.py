@@ -49,12 +49,13 @@ def cast(tree: Any, dtype: Any = jnp.float64) -> Any:
 
 def bench(case: Any, dtype: Any = jnp.float64, axes: int = 2) -> Pair:
     """Setpoint and measurement of a rigid machine with the errors of a case of `CASES`."""
-    error, rate, velocity, acceleration = (np.resize(np.asarray(x, float), axes) for x in case)
-    position = np.resize([0.02, -0.01], axes)
+    sized = (jnp.asarray(np.resize(np.asarray(x, float), axes)) for x in case)
+    error, rate, velocity, acceleration = sized
+    position = jnp.asarray(np.resize([0.02, -0.01], axes))
     wanted = Setpoint(
-        position=position, velocity=velocity, acceleration=acceleration, tangent=np.eye(axes)[0],
-        curvature=0.0,
-    )  # type: ignore[arg-type]  # fmt: skip
+        position=position, velocity=velocity, acceleration=acceleration,
+        tangent=jnp.eye(axes)[0], curvature=jnp.zeros(()),
+    )  # fmt: skip
     x, v = position - error, velocity - rate
     seen = Measurement(position=x, velocity=v, drive_position=x, drive_velocity=v)
     return cast(wanted, dtype), cast(seen, dtype)

@@ -13,6 +13,7 @@ from jaxstage.studies.case import Case as Case
 from jaxstage.studies.case import Timing as Timing
 from jaxstage.studies.case import with_figures as with_figures
 from jaxstage.studies.case import with_metric as with_metric
+from jaxstage.studies.claim import judge as judge
 from jaxstage.studies.comparison import Comparison as Comparison
 from jaxstage.studies.comparison import compare as compare
 from jaxstage.studies.comparison import stored_verdicts as stored_verdicts

@@ -15,7 +15,16 @@ from tuning.sweeps.display import share_text
 
 
 def pictures(found: Analysis, folder: Path) -> list[Path]:
-    """Draw all that applies; returns the files."""
+    """Draw all that applies into a folder; returns the files."""
+    drawn = drawings(found)
+    files = [folder / f"{name}.png" for name in drawn]
+    for file, figure in zip(files, drawn.values(), strict=True):
+        save(figure, file)
+    return files
+
+
+def drawings(found: Analysis) -> dict[str, sweep.Figure]:
+    """All figures that apply, by name."""
     sheet = _sheet(found)
     samples = {loop.name: _sample(loop, found.metric) for loop in found.loops}
     by_chance = {loop.name: _by_chance(samples[loop.name], loop) for loop in found.loops}
@@ -36,10 +45,7 @@ def pictures(found: Analysis, folder: Path) -> list[Path]:
         drawn[f"{c.first}-against-{c.second}"] = sweep.versus(
             by_chance[c.first], by_chance[c.second], _words(c, found.metric), sheet
         )
-    files = [folder / f"{name}.png" for name in drawn]
-    for file, figure in zip(files, drawn.values(), strict=True):
-        save(figure, file)
-    return files
+    return drawn
 
 
 def _effects(loop: LoopResult, sheet: sweep.Sheet) -> dict[str, sweep.Figure]:
