@@ -5,7 +5,7 @@ oracle, and returns the next state; all randomness comes from the seed of ``begi
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,29 +24,10 @@ class Oracle(NamedTuple):
     curvatures: Callable[[np.ndarray, np.ndarray], Curvatures]
 
 
-class State(Protocol):
-    """What every state has: points (k, n), values (k,), gradient norms (k,), NaN where unknown, and
-    which starts are at an end (k,)."""
-
-    @property
-    def z(self) -> np.ndarray:
-        """The points reached."""
-        ...
-
-    @property
-    def value(self) -> np.ndarray:
-        """Their objective."""
-        ...
-
-    @property
-    def gradient_norm(self) -> np.ndarray:
-        """Norm of the gradient."""
-        ...
-
-    @property
-    def done(self) -> np.ndarray:
-        """True where nothing better is found any more."""
-        ...
+#: A NamedTuple of arrays over the k starts, with at least ``z`` (k, n): the points reached,
+#: ``value`` (k,): their objective, ``gradient_norm`` (k,): NaN where unknown, and ``done`` (k,):
+#: True where nothing better is found any more.
+State = Any
 
 
 @definition
@@ -57,5 +38,5 @@ class Method:
 
     name: str
     needs: str
-    begin: Callable[[Oracle, np.ndarray, int], Any]
-    step: Callable[[Oracle, Any], Any]
+    begin: Callable[[Oracle, np.ndarray, int], State]
+    step: Callable[[Oracle, State], State]

@@ -108,6 +108,7 @@ def make_problem(
     first = evaluate(problem, space.start()[None])
     if any(term.scale is None for term in terms):
         _refuse_lost(problem, first)
+    _refuse_undefined(problem, first)
     problem = problem._replace(scales=_scales(problem, first))
     return problem._replace(before=evaluate(problem, space.start()[None]))
 
@@ -122,6 +123,18 @@ def _refuse_lost(problem: Problem, before: Evaluation) -> None:
         f"the first, {problem.run_names[first]}, at {lost[first]:.4g} s: start from gains that "
         "hold them all, or give every term a scale"
     )
+
+
+def _refuse_undefined(problem: Problem, before: Evaluation) -> None:
+    """A figure without value in a run that is not lost has none in any search."""
+    kept = np.isnan(before.lost_at_s[0])
+    for name, value in before.columns.items():
+        missing = np.flatnonzero(kept & ~np.isfinite(value[0]))
+        if len(missing):
+            raise ValueError(
+                f"{name} has no value in training run {problem.run_names[missing[0]]}: what it "
+                "needs, such as a reversal or a longer run, is not there"
+            )
 
 
 def _scales(problem: Problem, before: Evaluation) -> np.ndarray:
