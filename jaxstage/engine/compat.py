@@ -78,3 +78,10 @@ def set_jvp(primitive: Any, rule: Any) -> None:
 def set_transpose(primitive: Any, rule: Any) -> None:
     """Give a linear primitive its transpose."""
     _ad.primitive_transposes[primitive] = rule
+
+
+def shaped(shape: tuple[int, ...], dtype: Any, operands: Any) -> Any:
+    """The shape of a result that varies over the mesh axes over which an operand does."""
+    axes = [getattr(x, "vma", None) for x in operands]
+    varying = frozenset().union(*(a for a in axes if a))
+    return ShapedArray(shape, dtype, vma=varying) if varying else ShapedArray(shape, dtype)

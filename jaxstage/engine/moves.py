@@ -41,6 +41,11 @@ def _split(args: list[Any], params: dict[str, Any]) -> list[np.ndarray]:
     return np.split(args[0], np.cumsum(params["sizes"])[:-1], axis=params["axis"])
 
 
+def _unstack(args: list[Any], params: dict[str, Any]) -> list[np.ndarray]:
+    rows = np.moveaxis(args[0], params["axis"], 0)
+    return [rows[i : i + 1].reshape(rows.shape[1:]) for i in range(len(rows))]
+
+
 MOVES: dict[str, Callable[[list[Any], dict[str, Any]], Any]] = {
     "broadcast_in_dim": _broadcast,
     "reshape": lambda args, p: args[0].reshape(p["new_sizes"]),
@@ -52,4 +57,6 @@ MOVES: dict[str, Callable[[list[Any], dict[str, Any]], Any]] = {
     "concatenate": lambda args, p: np.concatenate(args, axis=p["dimension"]),
     "pad": _pad,
     "split": _split,
+    "stack": lambda args, p: np.stack(args, axis=p["axis"]),
+    "unstack": _unstack,
 }

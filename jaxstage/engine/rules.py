@@ -29,6 +29,11 @@ def _add(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
         return y
     if _zero(y):
         return x
+    if kind in "il" and y.op == "const":
+        if x.op == "add" and x.args[1].op == "const":
+            return g.op("add", x.args[0], g.op("add", x.args[1], y))
+    if kind in "il" and x.op == "const":
+        return g.op("add", y, x)
     if x.op == "neg" and y.op != "neg":
         return g.op("sub", y, x.args[0])
     if y.op == "neg":
@@ -57,6 +62,8 @@ def _sub(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     x, y = a
     if _zero(y):
         return x
+    if kind in "il" and y.op == "const" and y.value > -(2**31):
+        return g.op("add", x, g.const(-y.value, kind))
     if _zero(x) and kind == "f":
         return g.op("neg", y)
     if y.op == "neg":

@@ -132,6 +132,8 @@ def evaluate(graph: Graph, equation: Any, args: list[Any]) -> list[Any]:
     if name in ("gather", "dynamic_slice"):
         at = Lookup(graph, equation.outvars[0].aval.shape)
         return [(gather if name == "gather" else slice_at)(at, args, params)]
+    if name in _CONTROL:
+        return _CONTROL[name](graph, equation, args)
     args = [cells_of(graph, a) for a in args]
     if name in _STRUCTURED:
         return _STRUCTURED[name](graph, equation, args)
@@ -218,9 +220,11 @@ def _scan(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
     if length > UNROLL or length * len(body.jaxpr.eqns) > EQUATIONS:
         raise NotImplementedError(f"an inner loop of {length} rounds")
     constants, carried = scan_parts(equation)
-    fixed, carry, xs = (
-        args[:constants], args[constants : constants + carried], args[constants + carried :]
-    )  # fmt: skip
+    fixed = args[:constants]
+    carry, xs = (
+        [cells_of(g, a) for a in part]
+        for part in (args[constants : constants + carried], args[constants + carried :])
+    )
     rows: list[list[Any]] = [[] for _ in range(length)]
     order = range(length)
     for t in reversed(order) if params["reverse"] else order:
@@ -266,9 +270,10 @@ def _iota(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
     return [lifted(g, np.indices(shape)[along].astype(dtype))]
 
 
+_CONTROL: dict[str, Callable[..., list[Any]]] = {"scan": _scan, "cond": _cond}
 _STRUCTURED: dict[str, Callable[..., list[Any]]] = {
     **REDUCTIONS,
-    "dot_general": dot, "iota": _iota, "scan": _scan, "cond": _cond,
+    "dot_general": dot, "iota": _iota, 
     "scatter": scatter, "scatter-add": scatter, "scatter_add": scatter, "scatter-mul": scatter,
     "scatter_mul": scatter, "dynamic_update_slice": update_at,
 }  # fmt: skip
