@@ -241,6 +241,80 @@ def forward(
     return [*after(own, state), *stored(own, rows)]
 
 
+def tangent(
+    program: Program, kernel: Kernel, batched: tuple[bool, ...], runs: int, ticks: int,
+    moving: tuple[int, ...], args: Any,
+) -> list[Array]:  # fmt: skip
+    """Tangents of the real carry after the ticks. args: leaves, then tangents."""
+    count = len(program.leaves)
+    own = call(program, kernel, batched[:count], runs, ticks, args[:count])
+    q = _given(own, args[count : count + len(moving)], batched[count:])
+    d = _given(own, args[count + len(moving) :], batched[count + len(moving) :])
+
+    def piece(state: Any, first: Any, length: int) -> Any:
+        c, ci, d = state
+        shapes = [(c.shape, own.real), (ci.shape, np.int32), (d.shape, own.real)]
+        return tuple(invoke(own, shapes, first, length, (c, ci), (q, d))), None
+
+    (_, _, d), _ = pieces(piece, (*carry(own), d), ticks, own.piece)
+    return unpack(own, d, [program.carry[i] for i in program.real_carry])
+
+
+def pullback(
+    program: Program, kernels: tuple[Kernel, Kernel], batched: tuple[bool, ...], runs: int,
+    ticks: int, moving: tuple[int, ...], args: Any,
+) -> list[Array]:  # fmt: skip
+    """Cotangents of the moving leaves and of the real carry. kernels: back, and forward.
+
+    args: leaves, then cotangents of the real carry. Long runs go forward first, keeping the carry
+    at the start of every piece, then back piece by piece.
+    """
+    count = len(program.leaves)
+    backward, onward = (
+        call(program, k, batched[:count], runs, ticks, args[:count]) for k in kernels
+    )
+    g = _given(backward, args[count:], batched[count:])
+    leaves = [program.leaves[i] for i in moving]
+    a = jnp.zeros((sum(math.prod(x.shape) for x in leaves), backward.lanes), backward.real)
+    shapes = [(a.shape, backward.real), (g.shape, backward.real)]
+
+    def back(sums: Any, first: Any, length: int, state: Any) -> tuple[Array, Array]:
+        a, g = sums
+        more, g = invoke(backward, shapes, first, length, state, (g,))
+        return a + more, g
+
+    def on(state: Any, first: Any, length: int) -> Any:
+        c, ci = state
+        none = [((length, 0, onward.lanes), t) for t in (onward.real, np.int32)]
+        moved = invoke(
+            onward, [(c.shape, onward.real), (ci.shape, np.int32), *none], first, length, state
+        )
+        return (moved[0], moved[1]), state
+
+    state, length = carry(backward), backward.piece
+    if ticks <= length:
+        a, g = back((a, g), 0, ticks, state)
+    else:
+        whole, rest = divmod(ticks, length)
+        firsts = jnp.arange(whole, dtype=jnp.int32) * length
+        state, kept = lax.scan(lambda s, first: on(s, first, length), state, firsts)
+        if rest:
+            a, g = back((a, g), whole * length, rest, state)
+        (a, g), _ = lax.scan(
+            lambda s, at: (back(s, at[0], length, at[1]), None), (a, g), (firsts, kept),
+            reverse=True,
+        )  # fmt: skip
+    real = [program.carry[i] for i in program.real_carry]
+    return [*unpack(backward, a, leaves), *unpack(backward, g, real)]
+
+
+def _given(call: Call, leaves: Any, batched: Any) -> Array:
+    """Tangents or cotangents as (elements, lanes)."""
+    pairs = zip(leaves, batched[: len(leaves)], strict=True)
+    rows = [in_lanes(call, x, b, call.real) for x, b in pairs]
+    return _stacked(rows, call.lanes, call.real)
+
+
 def after(call: Call, state: Any) -> list[Array]:
     """The leaves of the carry."""
     program, kernel = call.program, call.kernel

@@ -85,3 +85,8 @@ def shaped(shape: tuple[int, ...], dtype: Any, operands: Any) -> Any:
     axes = [getattr(x, "vma", None) for x in operands]
     varying = frozenset().union(*(a for a in axes if a))
     return ShapedArray(shape, dtype, vma=varying) if varying else ShapedArray(shape, dtype)
+
+
+def zero_tangent(value: Any) -> Any:
+    """The tangent of a value that has none."""
+    return Zero(jax.typeof(value).to_tangent_aval())

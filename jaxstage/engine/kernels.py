@@ -78,11 +78,13 @@ def _tangent(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
     for (int i = 0; i < ND; i++) d[i] = load(D + i * NB + b);
     for (int64_t t = 0; t < N; t++)
       step(c, ci, d, 0, h, hi, R + t * NR, RI + t * NRI, 0, 0, NB{text.passed});
+    {text.epilogue}
     for (int i = 0; i < ND; i++) store(D1 + i * NB + b, d[i]);
   }}"""
     first = 8 + len(low.tables)
     head = f"const real *Q = in<real>(frame, {first}), *D = in<real>(frame, {first + 1});\n"
-    head += "  real* D1 = out<real>(frame, 0);"
+    head += "  real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
+    head += "  real* D1 = out<real>(frame, 2);"
     source = function(text, "step", stores) + handler(text, head, body)
     return Kernel(heading(text) + source, low, where, {}, {}, _work(stores))
 
