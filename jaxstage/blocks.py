@@ -131,7 +131,7 @@ class Engine:
 
 
 #: compiles runs that are long enough to be worth it
-auto = Engine(name="auto", shortest=2000)
+auto = Engine(name="auto", shortest=4000)
 
 #: compiles every run
 compiled = Engine(name="compiled", shortest=1)

@@ -49,13 +49,18 @@ def _forward(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
     stores = _carried(low, where, low.results)
     rows, counts = _rows(program, low, stores)
     text = source_of(program, low, where, stores)
-    body = f"""
-  for (int64_t b = 0; b < NB; b += LANES) {{
-    {text.prologue}
+    body = f"""{text.borders}
+  for (int64_t b = 0; b < NB; b += TOGETHER * LANES) {{
+    vec h[TOGETHER][NH], c[TOGETHER][NC];
+    ints hi[TOGETHER][NHI], ci[TOGETHER][NCI];
+    const int count = std::min<int64_t>(TOGETHER, (NB - b) / LANES);
+    for (int u = 0; u < count; u++) begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
     for (int64_t t = 0; t < N; t++)
-      step(c, ci, 0, 0, h, hi, R + t * NR, RI + t * NRI, rows + t * {counts["row"]} * NB + b,
-           rowsi + t * {counts["rowi"]} * NB + b, NB{text.passed});
-    {text.epilogue}
+      for (int u = 0; u < count; u++)
+        step(c[u], ci[u], 0, 0, h[u], hi[u], R + t * NR, RI + t * NRI,
+             rows + t * {counts["row"]} * NB + b + u * LANES,
+             rowsi + t * {counts["rowi"]} * NB + b + u * LANES, NB{text.passed});
+    for (int u = 0; u < count; u++) end(b + u * LANES, c[u], ci[u]);
   }}"""
     head = "real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
     head += "  real* rows = out<real>(frame, 2); int32_t* rowsi = out<int32_t>(frame, 3);"
@@ -71,15 +76,22 @@ def _tangent(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
     stores = _carried(low, where, low.results[:count])
     stores += _derived(program, where, low.results[count:], "d", "d")
     text = source_of(program, low, where, stores)
-    body = f"""
-  for (int64_t b = 0; b < NB; b += LANES) {{
-    {text.prologue}
-    vec d[ND];
-    for (int i = 0; i < ND; i++) d[i] = load(D + i * NB + b);
+    body = f"""{text.borders}
+  for (int64_t b = 0; b < NB; b += TOGETHER * LANES) {{
+    vec h[TOGETHER][NH], c[TOGETHER][NC], d[TOGETHER][ND];
+    ints hi[TOGETHER][NHI], ci[TOGETHER][NCI];
+    const int count = std::min<int64_t>(TOGETHER, (NB - b) / LANES);
+    for (int u = 0; u < count; u++) {{
+      begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
+      for (int i = 0; i < ND; i++) d[u][i] = load(D + i * NB + b + u * LANES);
+    }}
     for (int64_t t = 0; t < N; t++)
-      step(c, ci, d, 0, h, hi, R + t * NR, RI + t * NRI, 0, 0, NB{text.passed});
-    {text.epilogue}
-    for (int i = 0; i < ND; i++) store(D1 + i * NB + b, d[i]);
+      for (int u = 0; u < count; u++)
+        step(c[u], ci[u], d[u], 0, h[u], hi[u], R + t * NR, RI + t * NRI, 0, 0, NB{text.passed});
+    for (int u = 0; u < count; u++) {{
+      end(b + u * LANES, c[u], ci[u]);
+      for (int i = 0; i < ND; i++) store(D1 + i * NB + b + u * LANES, d[u][i]);
+    }}
   }}"""
     first = 8 + len(low.tables)
     head = f"const real *Q = in<real>(frame, {first}), *D = in<real>(frame, {first + 1});\n"
@@ -105,12 +117,12 @@ def _pullback(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) 
     back += _derived(program, where, results[len(moving) :], "g", "g")
     text = source_of(program, low, where, step + back)
     rounds = _REVERSE.format(
-        prologue=text.prologue, passed=text.passed,
-        call="R + k * NR, RI + k * NRI",
-    )  # fmt: skip
+        borders=text.borders, passed=text.passed, call="R + k * NR, RI + k * NRI"
+    )
     first = 8 + len(low.tables)
     head = f"const real* G = in<real>(frame, {first});\n"
-    head += "  real *A1 = out<real>(frame, 0), *G1 = out<real>(frame, 1);"
+    head += "  real *A1 = out<real>(frame, 0), *G1 = out<real>(frame, 1), *C1 = 0;\n"
+    head += "  int32_t* CI1 = 0;"
     source = function(text, "step", step) + function(text, "back", back)
     source += handler(text, head, rounds)
     return Kernel(heading(text) + source, low, where, {}, {}, _work(step + back))
@@ -123,9 +135,11 @@ _REVERSE = """
   State* kept = (State*)std::aligned_alloc(64, room * (M + L + 1));
   if (!kept) return failed(frame, "no memory for the checkpoints of a gradient");
   State* stretch = kept + M;
+  {borders}
   for (int64_t b = 0; b < NB; b += LANES) {{
-    {prologue}
-    vec g[ND], a[NA];
+    vec h[NH], c[NC], g[ND], a[NA];
+    ints hi[NHI], ci[NCI];
+    begin(b, h, hi, c, ci);
     for (int i = 0; i < ND; i++) g[i] = load(G + i * NB + b);
     for (int i = 0; i < NA; i++) a[i] = all(0);
     for (int64_t k = 0; k < N; k++) {{

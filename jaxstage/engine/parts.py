@@ -69,6 +69,7 @@ def in_line(closed: Any) -> Steps:
     """The steps of a closed jaxpr, without calls and without what nobody reads."""
     steps: list[Step] = []
     constants: dict[int, Any] = {}
+    known: dict[Any, tuple[int, ...]] = {}
     count = iter(range(1 << 60))
 
     def walk(jaxpr: Any, consts: Any, reads: list[Any]) -> list[Any]:
@@ -86,14 +87,30 @@ def in_line(closed: Any) -> Steps:
                 inner, held = called(equation.params)
                 env.update(zip(equation.outvars, walk(inner, held, inputs), strict=True))
                 continue
-            writes = [next(count) for _ in equation.outvars]
-            env.update(zip(equation.outvars, writes, strict=True))
-            steps.append(Step(equation, tuple(inputs), tuple(writes)))
+            key = _key(equation, inputs)
+            if key not in known:
+                known[key] = tuple(next(count) for _ in equation.outvars)
+                steps.append(Step(equation, tuple(inputs), known[key]))
+            env.update(zip(equation.outvars, known[key], strict=True))
         return [read(v) for v in jaxpr.outvars]
 
     arguments = [next(count) for _ in closed.jaxpr.invars]
     results = walk(closed.jaxpr, closed.consts, list(arguments))
     return Steps(_needed(steps, results), tuple(arguments), tuple(results), constants)
+
+
+def _key(equation: Any, reads: list[Any]) -> Any:
+    """What two equations have in common that compute the same; nothing where one holds others."""
+    params = equation.params
+    if any(hasattr(v, "eqns") or isinstance(v, tuple | list) and any(
+        hasattr(x, "eqns") for x in v) for v in params.values()):  # fmt: skip
+        return id(equation), object()
+    same = [
+        (type(v.value).__name__, str(getattr(v.value, "dtype", "")), str(v.value))
+        if isinstance(v, Literally) else v
+        for v in reads
+    ]  # fmt: skip
+    return equation.primitive.name, str(params), tuple(same)
 
 
 def _needed(steps: list[Step], results: list[Any]) -> tuple[Step, ...]:

@@ -8,36 +8,39 @@ from jaxstage.engine.statements import Store, write
 
 
 class Source(NamedTuple):
-    """What the pieces of a source have in common. prologue, epilogue: C++ before and after the
-    time loop of a vector of runs. passed: the tables, as further arguments of a call."""
+    """What the pieces of a source have in common. borders: C++ that defines `begin` and `end`, what
+    is done before and after the time loop of a vector of runs. passed: the tables, as further
+    arguments of a call."""
 
     program: Program
     low: Lowered
     where: Layout
     hoisted: Hoisted
-    prologue: str
-    epilogue: str
+    borders: str
     passed: str
 
 
 def source_of(program: Program, low: Lowered, where: Layout, stores: list[Store]) -> Source:
     """The frame of a kernel that computes the stores in each tick."""
     hoisted = hoist(low, stores, cells(where))
-    prologue = [
-        "vec h[NH], c[NC];",
-        "ints hi[NHI], ci[NCI];",
+    begin = [
         *hoisted.lines,
         "for (int i = 0; i < NC; i++) c[i] = load(C + i * NB + b);",
         "for (int i = 0; i < NCI; i++) ci[i] = load_ints(CI + i * NB + b);",
     ]
-    epilogue = [
-        "for (int i = 0; i < NC; i++) store(C1 + i * NB + b, c[i]);",
-        "for (int i = 0; i < NCI; i++) store_ints(CI1 + i * NB + b, ci[i]);",
-    ]
+    borders = f"""auto begin = [&](int64_t b, vec* h, ints* hi, vec* c, ints* ci) {{
+    {_lines(begin)}
+  }};
+  auto end = [&](int64_t b, const vec* c, const ints* ci) {{
+    for (int i = 0; i < NC; i++) store(C1 + i * NB + b, c[i]);
+    for (int i = 0; i < NCI; i++) store_ints(CI1 + i * NB + b, ci[i]);
+  }};"""
     passed = "".join(f", T{i}" for i in range(len(low.tables)))
-    return Source(
-        program, low, where, hoisted, "\n    ".join(prologue), "\n    ".join(epilogue), passed
-    )
+    return Source(program, low, where, hoisted, borders, passed)
+
+
+def _lines(statements: list[str]) -> str:
+    return "\n    ".join(statements)
 
 
 def _tables(source: Source) -> list[str]:
@@ -77,11 +80,13 @@ def heading(source: Source) -> str:
     }  # fmt: skip
     lines = [f"constexpr int {name} = {value};" for name, value in sizes.items()]
     return f"""#define REAL {"float" if source.low.single else "double"}
-#include "simd.h"
 #include <algorithm>
+#include "simd.h"
 #include "xla/ffi/api/c_api.h"
 {chr(10).join(lines)}
 struct State {{ vec c[NC]; ints ci[NCI]; }};
+// vectors of runs that go through time together: while one waits for a result others compute
+constexpr int TOGETHER = std::max(1, std::min(4, 256 / (NC + NCI + NH + NHI + ND + 1)));
 INLINE void keep(State& s, const vec* c, const ints* ci) {{
   memcpy(s.c, c, sizeof s.c);
   memcpy(s.ci, ci, sizeof s.ci);
