@@ -20,11 +20,12 @@ from jaxstage.fields import replace
 from jaxstage.signals import Measurement, Setpoint
 from jaxstage.studies import all_studies, build
 from tests.c_driver import SANE, STRICT, drive, identity, law_files, run, written
+from tests.cortex_m4 import machine
 from tuning import cli
 from tuning.exports import recorded
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler here")
-CROSS = shutil.which("arm-none-eabi-gcc")
+CROSS = shutil.which(machine.COMPILER)
 needs_cross = pytest.mark.skipif(
     CROSS is None, reason="no arm-none-eabi-gcc (gcc-arm-none-eabi, libnewlib-arm-none-eabi)"
 )
@@ -171,7 +172,9 @@ def every_law(folder, single):
     for number, case in enumerate(laws()):
         law = traced(case, single)
         what = identity(case.loop.controller, law.axes, single, f"law{number}")
-        written(law_files(law, what), folder)
+        files = law_files(law, what)
+        assert all(text.isascii() for text in files.values())
+        written(files, folder)
     return sorted(file.name for file in folder.glob("*.c"))
 
 
@@ -212,13 +215,8 @@ def test_every_law_builds_for_a_cortex_m4(folders):
 @pytest.mark.parametrize("name", LOOPS)
 def test_the_law_runs_on_a_cortex_m4(name, tmp_path):
     written(texts(name, single=True), tmp_path)
-    start = Path(__file__).parent / "cortex_m4" / "startup.c"
-    sources = (start, "replay.c", "control.c", "control_gains.c")
-    link = ("--specs=rdimon.specs", "-Wl,--section-start=.isr_vector=0", "-lm")
-    run(CROSS, "-std=gnu99", "-Os", *ARM.split(), *sources, *link, "-o", "replay", cwd=tmp_path)
-    machine = "qemu-system-arm -M mps2-an386 -nographic -monitor none -serial none"
-    semihosting = "-semihosting-config enable=on,target=native -kernel replay"
-    printed = run("timeout", "60", *f"{machine} {semihosting}".split(), cwd=tmp_path)
+    machine.build(tmp_path, "replay.c")
+    printed = machine.emulate(tmp_path).encode()
     assert difference(printed) <= BOUND[True]
 
 
@@ -284,6 +282,7 @@ def test_the_command_writes_what_passes_its_own_check(command, tmp_path):
         (("dfcmac-circle", "--out", "c", "--axis", "z"), "axis 'z': must be one of x, y"),
         (("dfcmac-circle", "--out", "c", "--prefix", "2x"), "prefix '2x': must be a name in C"),
         (("dfcmac-circle", "--out", "c", "--set", "gains.c1=nan"), "must be > 0 1/s"),
+        (("dfcmac-circle", "--out", "c", "--set", "start.offset=1"), "lost at its first tick"),
         (("dfcmac-circle", "--out", "full"), "not empty and holds no export"),
         (("dfcmac-circle", "--out", "full/a.txt/c"), "full/a.txt is not a folder"),
     ],
