@@ -18,8 +18,9 @@ from jax.sharding import Mesh, PartitionSpec
 
 from jaxstage.blocks import Loop
 from jaxstage.check import SHARED, check
+from jaxstage.engine.loop import refusal
 from jaxstage.fields import replace
-from jaxstage.rollout import advance, report, scan_ticks, start
+from jaxstage.rollout import advance, compiled_form, report, scan_ticks, start, whole_run
 from jaxstage.signals import Carry, Run, Scenario
 from jaxstage.tiles import remembered_tile
 
@@ -68,6 +69,9 @@ def rollouts(
     devices = min(available, lanes) if devices is None else devices
     if not 1 <= devices <= available:
         raise ValueError(f"devices = {devices}: must be 1..{available}")
+    lowered = _is_compiled(loop, ticks, structure, batched, leaves)
+    if tile is None and lowered:
+        tile = -(-lanes // devices)  # a kernel goes through its lanes by itself
     if tile is None:
         tile = remembered_tile(_tile_program(loop, structure, batched), leaves, batched, lanes)
     if tile < 1:
@@ -75,7 +79,37 @@ def rollouts(
     # a tile of one lane would be compiled to another program, with other last bits
     tile = max(2, min(tile, -(-lanes // devices)))
     _check_memory(loop, ticks, structure, batched, leaves, lanes, memory)
-    return _rollouts(loop, ticks, tile, devices, structure, batched, leaves)
+    return _rollouts(loop, ticks, tile, devices, lowered, structure, batched, leaves)
+
+
+def _is_compiled(
+    loop: Loop, ticks: int, structure: Any, batched: tuple[bool, ...], leaves: list[Array]
+) -> bool:
+    """Whether the engine of the loop compiles these runs."""
+    if ticks < loop.engine.shortest:
+        return False
+    one = [
+        jax.ShapeDtypeStruct(x.shape[1:] if b else x.shape, x.dtype)
+        for x, b in zip(leaves, batched, strict=True)
+    ]
+    return _refusal(loop, structure, batched, tuple(one)) is None
+
+
+@functools.cache
+def _refusal(
+    loop: Loop, structure: Any, batched: tuple[bool, ...], one: tuple[jax.ShapeDtypeStruct, ...]
+) -> str | None:
+    """Why a batch is not compiled, or None. one: shapes of one run."""
+    found: list[str | None] = []
+
+    def trace(leaves: list[Array]) -> None:
+        inputs = jax.tree.unflatten(structure, leaves)
+        program, numbers = compiled_form(loop, *inputs, start(loop, *inputs))
+        flags = (*batched, *(False,) * (len(numbers) - len(batched)))
+        found.append(refusal(program, flags))
+
+    jax.eval_shape(trace, list(one))
+    return found[0]
 
 
 def spread_axes(in_axes: Any, trees: Any) -> Any:
@@ -123,6 +157,17 @@ def run_tile(
     return Run(report=finish(carry), rows=leading[1], final=leading[0])
 
 
+def run_lanes(
+    loop: Loop, ticks: int, leaves: list[Array], structure: Any, batched: tuple[bool, ...]
+) -> Run:
+    """Lanes of a compiled loop."""
+
+    def one(*values: Array) -> Run:
+        return whole_run(loop, ticks, *jax.tree.unflatten(structure, values))
+
+    return jax.vmap(one, in_axes=tuple(0 if b else None for b in batched))(*leaves)
+
+
 @functools.cache
 def _tile_program(
     loop: Loop, structure: Any, batched: tuple[bool, ...]
@@ -131,12 +176,13 @@ def _tile_program(
     return partial(run_tile, loop, structure=structure, batched=batched)
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3, 4, 5))
+@partial(jax.jit, static_argnums=(0, 1, 2, 3, 4, 5, 6))
 def _rollouts(
     loop: Loop,
     ticks: int,
     tile: int,
     devices: int,
+    lowered: bool,
     structure: Any,
     batched: tuple[bool, ...],
     leaves: list[Array],
@@ -152,7 +198,7 @@ def _rollouts(
         def one(values: list[Array]) -> Run:
             own, common = iter(values), iter(shared)
             merged = [next(own) if b else next(common) for b in batched]
-            return run_tile(loop, ticks, merged, structure, batched)
+            return (run_lanes if lowered else run_tile)(loop, ticks, merged, structure, batched)
 
         return lax.map(one, moving)
 

@@ -119,12 +119,35 @@ class Metric:
 
 
 @definition
+class Engine:
+    """How the ticks of a run are computed; the results mean the same.
+
+    shortest: runs of at least so many ticks are compiled for this processor, where there is a C++
+    compiler and the loop can be written so (`explain` says); shorter ones are a ``lax.scan``.
+    """
+
+    name: str
+    shortest: float
+
+
+#: compiles runs that are long enough to be worth it
+auto = Engine(name="auto", shortest=4000)
+
+#: compiles every run
+compiled = Engine(name="compiled", shortest=1)
+
+#: ``lax.scan``, which defines what the others compute
+scan = Engine(name="scan", shortest=math.inf)
+
+
+@definition
 class Loop:
     """Everything that is fixed about a simulation.
 
     dt: control period in s. substeps: plant steps per period. segment: ticks per checkpointed
     segment of the scan, 0 for a plain scan (same values; less memory in reverse mode).
     path_limit: following error in m beyond which the run counts as having left the path.
+    engine: `auto`, `compiled` or `scan`.
     """
 
     plant: Plant
@@ -138,3 +161,4 @@ class Loop:
     substeps: int = 1
     segment: int = 0
     path_limit: float = 0.1
+    engine: Engine = auto

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.custom_derivatives import SymbolicZero
 
-from jaxstage.blocks import Loop, Metric
+from jaxstage.blocks import Loop, Metric, scan
 from jaxstage.check import check
+from jaxstage.engine.loop import program_of, rollout
+from jaxstage.engine.program import Program, segmented
 from jaxstage.fields import replace
 from jaxstage.signals import Carry, Output, Run, Sample, Scenario, Setpoint
 from jaxstage.tick import tick, tick_keys
@@ -45,9 +47,42 @@ def simulate(
 def _simulate(
     loop: Loop, ticks: int, gains: Any, scenario: Scenario, path: Any, carry: Carry | None
 ) -> Run:
+    return whole_run(loop, ticks, gains, scenario, path, carry)
+
+
+def whole_run(
+    loop: Loop, ticks: int, gains: Any, scenario: Scenario, path: Any, carry: Carry | None = None
+) -> Run:
+    """`simulate` without its checks."""
     carry = start(loop, gains, scenario, path) if carry is None else carry
-    carry, rows = scan_ticks(loop, ticks, lambda c: advance(loop, gains, scenario, path, c), carry)
+    carry = _sound(carry)
+    if ticks < loop.engine.shortest:
+        carry, rows = scan_ticks(
+            loop, ticks, lambda c: advance(loop, gains, scenario, path, c), carry
+        )
+    else:
+        carry, rows = rollout(*compiled_form(loop, gains, scenario, path, carry), ticks)
     return Run(report=report(loop, carry), rows=rows, final=carry)
+
+
+def compiled_form(
+    loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry
+) -> tuple[Program, list[Array]]:
+    """The loop as the engine takes it: a program, and its numbers."""
+    same = replace(loop, engine=scan, segment=0)
+    return program_of(
+        _advance, same, (gains, scenario), path, carry, segment=loop.segment, finite=True
+    )
+
+
+def _advance(loop: Loop, inputs: Any, path: Any, carry: Carry) -> tuple[Carry, Any]:
+    return advance(loop, *inputs, path, carry)
+
+
+def _sound(carry: Carry) -> Carry:
+    """A carry that is not finite is lost from the start: the ticks then only meet finite ones."""
+    broken = ~_finite(carry) & ~lost(carry)
+    return replace(carry, non_finite_at=jnp.where(broken, carry.step, carry.non_finite_at))
 
 
 def start(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> Carry:
@@ -80,19 +115,7 @@ def scan_ticks(
 ) -> tuple[Carry, Any]:
     """Scan ``step`` over the ticks, in checkpointed segments if the loop asks for them."""
 
-    def plain(carry: Carry, length: int) -> tuple[Carry, Any]:
-        return lax.scan(lambda c, _: step(c), carry, None, length=length)
-
-    if not loop.segment or loop.segment >= ticks:
-        return plain(carry, ticks)
-    whole, rest = divmod(ticks, loop.segment)
-    inner = jax.checkpoint(lambda c: plain(c, loop.segment), prevent_cse=False)
-    carry, rows = lax.scan(lambda c, _: inner(c), carry, None, length=whole)
-    rows = jax.tree.map(lambda r: r.reshape(whole * loop.segment, *r.shape[2:]), rows)
-    if rest:
-        carry, last = plain(carry, rest)
-        rows = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), rows, last)
-    return carry, rows
+    return segmented(lambda c, _: step(c), carry, ticks, loop.segment)
 
 
 def lost(carry: Carry) -> Array:

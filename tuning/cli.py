@@ -193,6 +193,48 @@ def precision(
         print(tomli_w.dumps({name: table}), flush=True)
 
 
+@app.command()
+def export(
+    loop: Annotated[str, typer.Argument(help="A loop of `jaxstage list`, e.g. dfcmac-circle.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the C files; a new one.")] = None,
+    lang: Annotated[str, typer.Option(help="c: C99.")] = "c",
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="As for `jaxstage run`. Repeatable."),
+    ] = None,
+    gains: Annotated[Path | None, typer.Option(help="TOML file of gains.")] = None,
+    scenario: Annotated[Path | None, typer.Option(help="TOML file of a scenario.")] = None,
+    precision: Annotated[
+        str, typer.Option(help="Of the C text: double, or single for float.")
+    ] = "double",
+    axis: Annotated[
+        str | None, typer.Option(help="One axis, e.g. x; the whole controller if left out.")
+    ] = None,
+    prefix: Annotated[str, typer.Option(help="Begins every name in C.")] = "control",
+) -> None:
+    """The controller as C99 for a drive, with recorded ticks to check it by."""
+    from jaxstage.runtime import configure
+    from tuning import runs
+
+    if lang != "c":
+        raise ValueError(f"--lang {lang}: must be c")
+    if precision not in ("single", "double"):
+        raise ValueError(f"--precision {precision}: must be single or double")
+    if out is None:
+        raise ValueError("--out DIR is needed: it gets the C files")
+    configure(precision="double", cache="default")
+    from tuning import exports
+
+    runs.check_folder(out)
+    exports.check_folder(out)
+    prepared = runs.prepare(loop, set_ or [], gains, scenario)
+    made = exports.export(prepared.case, out, precision == "single", axis, prefix)
+    for note in prepared.notes:
+        print(f"jaxstage: {note}", file=sys.stderr)
+    print(f"{made['law']}, axes {', '.join(made['axes'])}, {precision} precision")
+    print(f"{', '.join(made['files'])}: {out}/  (make check there replays {made['ticks']} ticks)")
+
+
 app.command()(tune_cli.tune)
 app.command()(sweep_cli.sweep)
 app.command()(sweep_cli.replay)

@@ -1,0 +1,216 @@
+"""The three kernels of a program: run it, push tangents through it, pull cotangents back.
+
+Each gets its arrays in this order (reals, then integers): P, PI parameters of the runs (slots,
+lanes); S, SI numbers that all runs share; R, RI numbers of each tick (ticks, slots); C, CI the carry
+(slots, lanes); then the tables; then the tangents Q of parameters and D of the carry, or the
+cotangents G of the carry. The lanes are a multiple of a vector.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+from jaxstage.engine.lowering import Layout, Lowered, flat, layout, lower
+from jaxstage.engine.node import kind_of
+from jaxstage.engine.parts import RUN
+from jaxstage.engine.program import (
+    Program,
+    forward_jaxpr,
+    pullback_jaxpr,
+    row_structure,
+    tangent_jaxpr,
+)
+from jaxstage.engine.source import function, handler, heading, source_of
+from jaxstage.engine.statements import Store
+
+class Kernel(NamedTuple):
+    """A kernel as text, and what it expects. rows: row leaves that it stores: whether among the
+    reals, and the first slot. counts: of the slots of a row. nodes: operations of a tick."""
+
+    text: str
+    lowered: Lowered
+    layout: Layout
+    rows: dict[int, tuple[bool, int]]
+    counts: dict[str, int]
+    nodes: int
+
+
+@functools.cache
+def kernel(
+    program: Program, what: str, own: tuple[bool, ...], moving: tuple[int, ...] = ()
+) -> Kernel:
+    """The kernel ``forward``, ``tangent`` or ``pullback``. own: see `lower`; moving: the leaves
+    beside the carry that have derivatives. Raises NotImplementedError with the reason."""
+    return _MAKERS[what](program, own, moving)
+
+
+def _forward(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -> Kernel:
+    low = lower(program, forward_jaxpr(program), own, ())
+    where = layout(program, low, ())
+    stores = _carried(low, where, low.results)
+    rows, counts = _rows(program, low, stores)
+    text = source_of(program, low, where, stores)
+    body = f"""{text.borders}
+  for (int64_t b = 0; b < NB; b += TOGETHER * LANES) {{
+    vec h[TOGETHER][NH], c[TOGETHER][NC];
+    ints hi[TOGETHER][NHI], ci[TOGETHER][NCI];
+    const int count = std::min<int64_t>(TOGETHER, (NB - b) / LANES);
+    for (int u = 0; u < count; u++) begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
+    for (int64_t t = 0; t < N; t++)
+      for (int u = 0; u < count; u++)
+        step(c[u], ci[u], 0, 0, h[u], hi[u], R + t * NR, RI + t * NRI,
+             rows + t * {counts["row"]} * NB + b + u * LANES,
+             rowsi + t * {counts["rowi"]} * NB + b + u * LANES, NB{text.passed});
+    for (int u = 0; u < count; u++) end(b + u * LANES, c[u], ci[u]);
+  }}"""
+    head = "real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
+    head += "  real* rows = out<real>(frame, 2); int32_t* rowsi = out<int32_t>(frame, 3);"
+    source = function(text, "step", stores) + handler(text, head, body)
+    return Kernel(heading(text) + source, low, where, rows, counts, _work(stores))
+
+
+def _tangent(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -> Kernel:
+    groups = [*(f"q{i}" for i in moving), *(f"d{i}" for i in program.real_carry)]
+    low = lower(program, tangent_jaxpr(program, moving), own, tuple(groups))
+    where = layout(program, low, moving)
+    count = len(program.carry)
+    stores = _carried(low, where, low.results[:count])
+    stores += _derived(program, where, low.results[count:], "d", "d")
+    text = source_of(program, low, where, stores)
+    body = f"""{text.borders}
+  for (int64_t b = 0; b < NB; b += TOGETHER * LANES) {{
+    vec h[TOGETHER][NH], c[TOGETHER][NC], d[TOGETHER][ND];
+    ints hi[TOGETHER][NHI], ci[TOGETHER][NCI];
+    const int count = std::min<int64_t>(TOGETHER, (NB - b) / LANES);
+    for (int u = 0; u < count; u++) {{
+      begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
+      for (int i = 0; i < ND; i++) d[u][i] = load(D + i * NB + b + u * LANES);
+    }}
+    for (int64_t t = 0; t < N; t++)
+      for (int u = 0; u < count; u++)
+        step(c[u], ci[u], d[u], 0, h[u], hi[u], R + t * NR, RI + t * NRI, 0, 0, NB{text.passed});
+    for (int u = 0; u < count; u++) {{
+      end(b + u * LANES, c[u], ci[u]);
+      for (int i = 0; i < ND; i++) store(D1 + i * NB + b + u * LANES, d[u][i]);
+    }}
+  }}"""
+    first = 8 + len(low.tables)
+    head = f"const real *Q = in<real>(frame, {first}), *D = in<real>(frame, {first + 1});\n"
+    head += "  real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
+    head += "  real* D1 = out<real>(frame, 2);"
+    source = function(text, "step", stores) + handler(text, head, body)
+    return Kernel(heading(text) + source, low, where, {}, {}, _work(stores))
+
+
+def _pullback(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -> Kernel:
+    groups = tuple(f"g{i}" for i in program.real_carry)
+    low = lower(program, pullback_jaxpr(program, moving), own, groups)
+    where = layout(program, low, moving)
+    count = len(program.carry)
+    step = _carried(low, where, low.results[:count])
+    results = low.results[count:]
+    back = [
+        Store("a", where.moving["a", i] + k, node, add=True)
+        for i, array in zip(moving, results[: len(moving)], strict=True)
+        for k, node in enumerate(flat(array))
+        if not (node.op == "const" and node.value == 0)
+    ]
+    back += _derived(program, where, results[len(moving) :], "g", "g")
+    text = source_of(program, low, where, step + back)
+    rounds = _REVERSE.format(
+        borders=text.borders, passed=text.passed, call="R + k * NR, RI + k * NRI"
+    )
+    first = 8 + len(low.tables)
+    head = f"const real* G = in<real>(frame, {first});\n"
+    head += "  real *A1 = out<real>(frame, 0), *G1 = out<real>(frame, 1), *C1 = 0;\n"
+    head += "  int32_t* CI1 = 0;"
+    source = function(text, "step", step) + function(text, "back", back)
+    source += handler(text, head, rounds)
+    return Kernel(heading(text) + source, low, where, {}, {}, _work(step + back))
+
+
+#: forward once, keeping every L-th carry; then stretch by stretch forward again and back
+_REVERSE = """
+  const int64_t L = std::max<int64_t>(1, (int64_t)std::sqrt((double)N)), M = (N + L - 1) / L;
+  const size_t room = sizeof(State);
+  State* kept = (State*)std::aligned_alloc(64, room * (M + L + 1));
+  if (!kept) return failed(frame, "no memory for the checkpoints of a gradient");
+  State* stretch = kept + M;
+  {borders}
+  for (int64_t b = 0; b < NB; b += LANES) {{
+    vec h[NH], c[NC], g[ND], a[NA];
+    ints hi[NHI], ci[NCI];
+    begin(b, h, hi, c, ci);
+    for (int i = 0; i < ND; i++) g[i] = load(G + i * NB + b);
+    for (int i = 0; i < NA; i++) a[i] = all(0);
+    for (int64_t k = 0; k < N; k++) {{
+      if (k % L == 0) keep(kept[k / L], c, ci);
+      if (k < (M - 1) * L) step(c, ci, 0, 0, h, hi, R + k * NR, RI + k * NRI, 0, 0, NB{passed});
+      else break;
+    }}
+    for (int64_t q = M - 1; q >= 0; q--) {{
+      const int64_t end = std::min(N, (q + 1) * L);
+      take(kept[q], c, ci);
+      for (int64_t k = q * L; k < end; k++) {{
+        keep(stretch[k - q * L], c, ci);
+        if (k + 1 < end) step(c, ci, 0, 0, h, hi, {call}, 0, 0, NB{passed});
+      }}
+      for (int64_t k = end - 1; k >= q * L; k--) {{
+        State& s = stretch[k - q * L];
+        back(s.c, s.ci, g, a, h, hi, {call}, 0, 0, NB{passed});
+      }}
+    }}
+    for (int i = 0; i < NA; i++) store(A1 + i * NB + b, a[i]);
+    for (int i = 0; i < ND; i++) store(G1 + i * NB + b, g[i]);
+  }}
+  std::free(kept);"""
+
+
+def _carried(low: Lowered, where: Layout, results: list[Any]) -> list[Store]:
+    stores = []
+    for number, (real, first) in where.carry.items():
+        name = "c" if real else "ci"
+        stores += [Store(name, first + k, n) for k, n in enumerate(flat(results[number]))]
+    return stores
+
+
+def _derived(
+    program: Program, where: Layout, results: list[Any], name: str, group: str
+) -> list[Store]:
+    return [
+        Store(name, where.moving[group, i] + k, node)
+        for i, array in zip(program.real_carry, results, strict=True)
+        for k, node in enumerate(flat(array))
+    ]
+
+
+def _rows(
+    program: Program, low: Lowered, stores: list[Store]
+) -> tuple[dict[int, tuple[bool, int]], dict[str, int]]:
+    """Which leaves of the row the kernel stores: those that the runs have for themselves."""
+    _, leaves = row_structure(program)
+    places, counts = {}, {"row": 0, "rowi": 0}
+    for number, leaf in enumerate(leaves):
+        position = len(program.carry) + number
+        if low.parts.of(low.parts.program.results[position]) != RUN:
+            continue
+        real = kind_of(leaf.dtype) == "f"
+        name = "row" if real else "rowi"
+        places[number] = real, counts[name]
+        nodes = flat(low.results[position])
+        stores += [Store(f"*{name}", counts[name] + k, n) for k, n in enumerate(nodes)]
+        counts[name] += len(nodes)
+    return places, counts
+
+
+def _work(stores: list[Store]) -> int:
+    seen: set[int] = set()
+    stack = [s.node for s in stores]
+    while stack:
+        node = stack.pop()
+        if node.id not in seen:
+            seen.add(node.id)
+            stack.extend(node.args)
+    return len(seen)
+
+
+_MAKERS = {"forward": _forward, "tangent": _tangent, "pullback": _pullback}

@@ -1,0 +1,73 @@
+"""A loop over control periods that runs compiled where it can."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxstage.engine.build import compiler
+from jaxstage.engine.compat import is_key_type
+from jaxstage.engine.kernels import kernel
+from jaxstage.engine.primitives import owned, rollout_p
+from jaxstage.engine.program import Program, row_structure, scan
+
+
+def program_of(
+    step: Callable[..., Any], static: Any, inputs: Any, shared: Any, carry: Any,
+    segment: int = 0, finite: bool = False,
+) -> tuple[Program, list[Any]]:  # fmt: skip
+    """The `Program` of one run and its leaves.
+
+    step(static, inputs, shared, carry) -> (carry, row); static: hashable. inputs: what may differ
+    from run to run. shared: what usually does not, and may be large. segment: ticks per
+    checkpointed segment, where it runs as a scan. finite: the caller promises that the floats of
+    the carry are finite in every run that still changes.
+    """
+    leaves, structures, counts = [], [], []
+    for tree in (inputs, shared, carry):
+        found, structure = jax.tree.flatten(tree)
+        leaves += [jnp.asarray(x) for x in found]
+        structures.append(structure)
+        counts.append(len(found))
+    keys = tuple(
+        (i, jax.random.key_impl(x)) for i, x in enumerate(leaves) if is_key_type(x.dtype)
+    )
+    for i, _ in keys:
+        leaves[i] = jax.random.key_data(leaves[i])
+    shapes = tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves)
+    a, b = counts[0], counts[0] + counts[1]
+    program = Program(
+        step=step, static=static, structures=tuple(structures),  # type: ignore[arg-type]
+        inputs=shapes[:a], shared=shapes[a:b], carry=shapes[b:], keys=keys, segment=segment,
+        finite=finite,
+    )  # fmt: skip
+    return program, leaves
+
+
+def rollout(program: Program, leaves: list[Any], ticks: int) -> tuple[Any, Any]:
+    """`ticks` times ``carry, row = step(static, inputs, shared, carry)``: last carry, all rows.
+
+    It means ``lax.scan``, under every transformation of JAX, and is one where it cannot be compiled.
+    """
+    if refusal(program) is None:
+        out = rollout_p.bind(
+            *leaves, program=program, batched=(False,) * len(leaves), size=1, ticks=ticks
+        )
+        out = [x[0] for x in out]
+    else:
+        out = scan(program, ticks, leaves)
+    count = len(program.carry)
+    rows = jax.tree.unflatten(row_structure(program)[0], out[count:])
+    return jax.tree.unflatten(program.structures[2], out[:count]), rows
+
+
+def refusal(program: Program, batched: tuple[bool, ...] = ()) -> str | None:
+    """Why a loop is not compiled, or None. batched: which of its leaves differ from run to run."""
+    if compiler() is None:
+        return "no C++ compiler (g++ or clang++) was found"
+    try:
+        kernel(program, "forward", owned(program, batched or (False,) * len(program.leaves)))
+    except NotImplementedError as reason:
+        return str(reason)
+    return None

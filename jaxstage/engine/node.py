@@ -1,0 +1,68 @@
+"""One scalar of a graph, and the kinds of scalars."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from jaxstage.engine.compat import is_key_type
+from jaxstage.fields import definition
+
+FUNCTIONS = frozenset(
+    "floor ceil round exp exp2 expm1 log log1p sqrt rsqrt cbrt sin cos tan asin acos atan sinh "
+    "cosh tanh asinh acosh atanh logistic erf erf_inv".split()
+)
+COMPARISONS = frozenset("eq ne lt le gt ge".split())
+#: smallest and largest value of each kind
+LIMITS: dict[str, tuple[float, float]] = {
+    "b": (0, 1),
+    "i": (-(2**31), 2**31 - 1),
+    "u": (0, 2**32 - 1),
+    "l": (-(2**63), 2**63 - 1),
+    "f": (-math.inf, math.inf),
+}
+
+
+@definition
+class Node:
+    """One scalar. low, high: range of its value where it is not NaN; nan: may it be NaN."""
+
+    op: str
+    kind: str
+    args: "tuple[Node, ...]"
+    value: Any
+    low: float
+    high: float
+    nan: bool
+    id: int
+
+    def __repr__(self) -> str:
+        inside = ", ".join(str(a.id) for a in self.args)
+        return f"%{self.id} = {self.op}({inside}){'' if self.value is None else self.value}"
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __hash__(self) -> int:
+        return self.id
+
+    @property
+    def finite(self) -> bool:
+        """Whether it is certainly neither NaN nor infinite."""
+        return not self.nan and self.low > -math.inf and self.high < math.inf
+
+
+_KINDS = {
+    "bool": "b", "float32": "f", "float64": "f", "int32": "i", "uint32": "u", "int64": "l",
+    "int8": "i", "int16": "i",
+}  # fmt: skip
+
+
+def kind_of(dtype: Any) -> str:
+    """The kind of nodes that hold a type. Raises NotImplementedError for one that has none."""
+    if is_key_type(dtype):
+        return "k"
+    name = np.dtype(dtype).name
+    if name not in _KINDS:
+        raise NotImplementedError(f"values of type {name}")
+    return _KINDS[name]

@@ -1,0 +1,189 @@
+"""A graph as C++ statements on vectors of runs."""
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+from jaxstage.engine.node import LIMITS, Node
+from jaxstage.engine.spelling import constant, expression
+
+TYPES = {"f": "vec", "i": "ints", "u": "ints", "l": "ints", "b": "mask"}
+
+
+class Store(NamedTuple):
+    """What becomes of a result: cell ``slot`` of an array, set or added to."""
+
+    array: str
+    slot: int
+    node: Node
+    add: bool = False
+
+
+class Cells(NamedTuple):
+    """Where inputs stand. read(node): C text of an input; array(source): C text of the array that
+    a load reads, with the slot of its element 0."""
+
+    read: Callable[[Node], str]
+    array: Callable[[Any], tuple[str, int]]
+
+
+class Known(NamedTuple):
+    """Names of nodes that need no computing, and of the reciprocals of some."""
+
+    names: dict[int, str]
+    reciprocals: dict[int, str]
+
+
+def write(
+    stores: Iterable[Store], cells: Cells, known: Known, single: bool, prefix: str = "t"
+) -> list[str]:
+    """The statements that compute and store."""
+    stores = list(stores)
+    puts, plain = indexed(stores, cells)
+    roots = [s.node for s in plain] + [n for p in puts for n in p.needs]
+    names = dict(known.names)
+    nodes = _until(roots, known)
+    loads: dict[int, list[Node]] = {}
+    for node in nodes:
+        if node.op == "load":
+            loads.setdefault(node.args[0].id, []).append(node)
+    lines: list[str] = []
+    places: set[int] = set()
+
+    def name(node: Node) -> str:
+        return constant(node) if node.op == "const" else names[node.id]
+
+    def at(index: Node) -> str:
+        if index.op == "const":
+            return ""
+        if index.id not in places:
+            places.add(index.id)
+            lines.append(f"const Place at{prefix}{index.id} = place({name(index)});")
+        return f"at{prefix}{index.id}"
+
+    for node in nodes:
+        if node.op == "const" or node.id in names:
+            continue
+        same_index = loads[node.args[0].id] if node.op == "load" else [node]
+        for own in same_index:
+            names[own.id] = f"{prefix}{own.id}"
+            if own.op == "in":
+                text = cells.read(own)
+            elif own.op == "load":
+                text = _load(own, cells, at(own.args[0]))
+            elif own.op == "div" and own.args[1].id in known.reciprocals:
+                text = f"{name(own.args[0])} * {known.reciprocals[own.args[1].id]}"
+            else:
+                text = expression(own, [name(a) for a in own.args], single)
+            lines.append(f"const {TYPES[own.kind]} {names[own.id]} = {text};")
+    for put in puts:
+        where = "every(true)" if put.where is None else name(put.where)
+        place = at(put.index)
+        lines.append(f"put({put.array}+{put.slot}, {place}, {where}, {name(put.value)});")
+    lines += [_stored(s, name(s.node)) for s in plain]
+    return lines
+
+
+def _until(roots: list[Node], known: Known) -> list[Node]:
+    """Nodes to compute: those that the roots need and that are not known."""
+    seen: set[int] = set()
+    out: list[Node] = []
+    for root in roots:
+        stack = [(root, False)]
+        while stack:
+            node, done = stack.pop()
+            if done:
+                out.append(node)
+            elif node.id not in seen and node.id not in known.names:
+                seen.add(node.id)
+                stack.append((node, True))
+                inverted = node.op == "div" and node.args[1].id in known.reciprocals
+                read = node.args[:1] if inverted else node.args
+                stack.extend((a, False) for a in reversed(read))
+    return out
+
+
+def _load(node: Node, cells: Cells, place: str) -> str:
+    source, offset = node.value
+    array, slot = cells.array(source)
+    text = f"{array}+{slot + offset}"
+    if not place:
+        return f"look({text}, place(same({node.args[0].value})))"
+    found = f"look({text}, {place})"
+    return f"as_mask({found})" if node.kind == "b" else found
+
+
+def _stored(store: Store, text: str) -> str:
+    if store.node.kind == "b":
+        text = f"as_ints({text})"
+    if store.array.startswith("*"):  # a row of the output
+        kind = "store_ints" if store.node.kind != "f" else "store"
+        return f"{kind}({store.array[1:]}+{store.slot}*NB, {text});"
+    return f"{store.array}[{store.slot}] {'+=' if store.add else '='} {text};"
+
+
+class Put(NamedTuple):
+    """A value that goes to one cell of an array, whose index the run knows."""
+
+    array: str
+    slot: int
+    index: Node
+    value: Node
+    where: Node | None
+
+    @property
+    def needs(self) -> list[Node]:
+        """The nodes that it reads."""
+        return [self.index, self.value, *([self.where] if self.where is not None else [])]
+
+
+def indexed(stores: list[Store], cells: Cells) -> tuple[list[Put], list[Store]]:
+    """The stores that are together one update at an index, and the rest.
+
+    Cell k gets ``index == k ? value : what it held``, for every k that the index can mean.
+    Stores of what a cell held already are left out.
+    """
+    groups: dict[Any, list[tuple[int, Store]]] = {}
+    rest: list[Store] = []
+    parts: dict[Any, tuple[Node, Node, Node | None]] = {}
+    for store in stores:
+        if _holds(store, store.node, cells) and not store.add:
+            continue
+        found = _update(store, cells)
+        if found is None:
+            rest.append(store)
+            continue
+        index, number, value, where = found
+        key = (store.array, store.slot - number, index.id, value.id, where and where.id)
+        parts[key] = index, value, where
+        groups.setdefault(key, []).append((number, store))
+    puts = []
+    for key, members in groups.items():
+        index, value, where = parts[key]
+        if {n for n, _ in members} >= set(range(int(index.low), int(index.high) + 1)):
+            puts.append(Put(key[0], key[1], index, value, where))
+        else:
+            rest += [s for _, s in members]
+    return puts, rest
+
+
+def _holds(store: Store, node: Node, cells: Cells) -> bool:
+    return node.op == "in" and cells.read(node) == f"{store.array}[{store.slot}]"
+
+
+def _update(store: Store, cells: Cells) -> tuple[Node, int, Node, Node | None] | None:
+    node = store.node
+    if node.op != "select" or store.add or node.kind != "f" or not _holds(store, node.args[2], cells):
+        return None
+    condition, value, _ = node.args
+    where = None
+    sides = condition.args if condition.op == "and" else (condition,)
+    for position, side in enumerate(sides):
+        if side.op == "eq" and side.args[1].op == "const" and _bounded(side.args[0]):
+            if len(sides) == 2:
+                where = sides[1 - position]
+            return side.args[0], side.args[1].value, value, where
+    return None
+
+
+def _bounded(index: Node) -> bool:
+    return index.kind in "il" and LIMITS["i"][0] < index.low <= index.high < LIMITS["i"][1]

@@ -1,0 +1,1 @@
+"""Exported laws on an emulated Cortex-M4F."""
