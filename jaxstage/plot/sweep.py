@@ -145,7 +145,8 @@ def parameters(
     correlations: dict[str, float | None],
     sheet: Sheet,
 ) -> Figure:
-    """The figure against each uncertain value, the strongest first; failing plants marked.
+    """The figure against each uncertain value, the strongest rank correlation first; failing plants
+    marked.
 
     columns, correlations: label with unit -> (n,) values, and their rank correlation.
     """
@@ -153,9 +154,9 @@ def parameters(
     across = min(4, len(order))
     rows = -(-len(order) // across)
     text = (
-        "Each dot is one plant; the strongest influence first. Black: median of twelve slices, or "
-        "of each value. rho: rank correlation, lost runs as the worst. Crosses do not meet the "
-        "specification; triangles at the top were lost."
+        "Each dot is one plant. rho: rank correlation, lost runs as the worst, the strongest "
+        "first; it sees a trend, not a valley. Black: median of twelve slices, or of each value. "
+        "Crosses do not meet the specification; triangles at the top were lost."
     )
     if sheet.limit is not None and not _beside(sheet.limit, sample.values):
         text += f" The limit of {sheet.limit:g} is off the scale."
