@@ -4,9 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import jax
 from rich.console import Console
 from rich.table import Table
 
+from jaxstage import __version__
 from jaxstage.metrics import record, together
 from jaxstage.settings import nearest_name
 from jaxstage.studies import Comparison, Study, known_studies, with_metric
@@ -32,6 +34,8 @@ def as_object(compared: Comparison) -> dict[str, Any]:
     return {
         "study": compared.study.name,
         "source": compared.study.source,
+        "version": __version__,
+        "jax": jax.__version__,
         "counts": count(compared.claims),
         "claims": [judgement._asdict() for judgement in compared.claims],
         "changed": changed(compared),
