@@ -22,6 +22,7 @@ SHORT_LAP = SHORT[:2]
 SCHEMA = {
     "loop": str,
     "version": str,
+    "jax": str,
     "precision": str,
     "dt_s": float,
     "duration_s": float,

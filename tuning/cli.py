@@ -153,6 +153,23 @@ def compare(
 
 
 @app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder of a run, a comparison or a sweep.")],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write; report.html in the folder if left out.")
+    ] = None,
+) -> None:
+    """One self-contained HTML file of what a command left in a folder: verdict first."""
+    from tuning.reports import kinds
+
+    file = out or folder / "report.html"
+    if file.is_dir():
+        raise ValueError(f"--out {file}: is a folder, must be a file")
+    kinds.write(folder, file)
+    print(file)
+
+
+@app.command()
 def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     precision: Annotated[str, typer.Option(help="double or single.")] = "double",

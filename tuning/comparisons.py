@@ -9,6 +9,7 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
+from jaxstage import __version__
 from jaxstage.metrics import record, together
 from jaxstage.runtime import cpu_cores
 from jaxstage.settings import nearest_name
@@ -35,6 +36,8 @@ def as_object(compared: Comparison) -> dict[str, Any]:
     return {
         "study": compared.study.name,
         "source": compared.study.source,
+        "version": __version__,
+        "jax": jax.__version__,
         "counts": count(compared.claims),
         "claims": [judgement._asdict() for judgement in compared.claims],
         "changed": changed(compared),

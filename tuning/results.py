@@ -34,6 +34,7 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
     return {
         "loop": case.name,
         "version": __version__,
+        "jax": jax.__version__,
         "precision": "double" if double else "single",
         "dt_s": case.loop.dt,
         "duration_s": case.window.ticks * case.loop.dt,

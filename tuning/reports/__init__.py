@@ -1,0 +1,1 @@
+"""Self-contained HTML reports of what a command left in a folder."""

@@ -1,0 +1,54 @@
+"""Which report a folder gets: that of the file by which its kind is known."""
+
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from tuning.reports import comparison, single, sweep
+from tuning.reports.page import Page, html
+from tuning.results import write_text
+
+
+class Kind(NamedTuple):
+    """What a folder may hold. marker: the file by which it is known."""
+
+    name: str
+    marker: str
+    read: Callable[[Path], Page]
+
+
+#: what reading a file of another version, or a spoilt one, may raise
+_SPOILT = (
+    KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError,
+    tomllib.TOMLDecodeError,
+)  # fmt: skip
+
+KINDS = (
+    Kind("run", "run.json", single.read),
+    Kind("comparison", "compare.json", comparison.read),
+    Kind("sweep", "sweep.toml", sweep.read),
+)
+
+
+def page_of(folder: Path) -> Page:
+    """What a folder says. Raises ValueError where it holds none of `KINDS`, or cannot be read."""
+    if not folder.is_dir():
+        raise ValueError(f"{folder}: no such folder")
+    for kind in KINDS:
+        if (folder / kind.marker).is_file():
+            try:
+                return kind.read(folder)
+            except _SPOILT as error:
+                raise ValueError(
+                    f"{folder / kind.marker} is not what this version writes ({error!r}): run the "
+                    f"{kind.name} again"
+                ) from None
+    known = ", ".join(f"a {kind.name} ({kind.marker})" for kind in KINDS)
+    raise ValueError(f"{folder} holds nothing to report: none of {known}")
+
+
+def write(folder: Path, file: Path) -> None:
+    """Write the report of a folder, whole or not at all."""
+    write_text(file, html(page_of(folder)))
