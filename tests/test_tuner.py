@@ -34,20 +34,20 @@ TERMS = (Term("contour_rms_um"), Term("energy_copper_J", 0.1), Term("command_cha
 
 @functools.cache
 def case():
-    """The DFCMAC on a fast circle, which it follows badly."""
-    return js.build("dfcmac-circle", js.Timing(lap_time=0.5, duration=TICKS * 1e-4, scored=0))
+    """A PI law on a fast circle, which it follows badly; the loop that compiles fastest."""
+    return js.build("pi-circle", js.Timing(lap_time=0.5, duration=TICKS * 1e-4, scored=0))
 
 
 @functools.cache
 def group(margin=0.0):
-    spreads = [s for s in study_spreads("dfcmac-circle") if s["path"] != "plant.coulomb"]
+    spreads = [s for s in study_spreads("pi-circle") if s["path"] != "plant.coulomb"]
     values = draw(space(case(), spreads, ()), "random", 1, RUNS, 0, RUNS)
     return make_group("circle", case(), values, np.arange(RUNS), margin)
 
 
 @functools.cache
 def searched():
-    return search_space(case(), (Search("c1"), Search("r1", 0.1, 1000.0, tied=True)))
+    return search_space(case(), (Search("c1"), Search("K", tied=True)))
 
 
 @functools.cache
@@ -90,7 +90,8 @@ def test_the_objective_is_the_sum_of_its_terms():
         t.weight * (found.columns[t.column] / scale) ** 2
         for t, scale in zip(TERMS, problem().scales, strict=True)
     ]
-    costs = sum(parts) / sum(t.weight for t in TERMS)
+    pull = 1e-4 * np.sum((Z - searched().start()) ** 2)
+    costs = sum(parts) / sum(t.weight for t in TERMS) + pull
     np.testing.assert_allclose(found.costs, costs, rtol=1e-10)
     np.testing.assert_allclose(found.objective, np.mean(costs, axis=1), rtol=1e-10)
 
@@ -120,10 +121,10 @@ def test_lost_runs_order_candidates():
     """Later is better, nothing is NaN, and the slope of a lost run is none."""
     loop = js.replace(case().loop, path_limit=1e-3)
     own = make_group("tight", case()._replace(loop=loop), {}, np.arange(1))
-    weak = search_space(case(), (Search("r1", 1e-9, 1000.0, tied=True),))
+    weak = search_space(case(), (Search("K", 1e-3, 1e6, tied=True),))
     scaled = tuple(t._replace(scale=1.0) for t in TERMS[:1])
     tight = make_problem(weak, (own,), scaled, width=4)
-    found = evaluate(tight, np.array([[-6.3], [-4.6], [-4.2], [0.0]]))
+    found = evaluate(tight, np.array([[-3.6], [-3.27], [-3.08], [0.0]]))
     lost = found.lost_at_s[:, 0]
     assert np.all(lost[:-1] > 0) and len(set(lost[:-1])) == 3
     assert np.all(np.isfinite(found.objective)) and np.all(found.objective[:-1] >= LOST)
@@ -131,8 +132,8 @@ def test_lost_runs_order_candidates():
     assert np.isnan(lost[-1]) and found.objective[-1] < LOST
     assert np.isinf(found.violation[0]) and found.violation[-1] == -1
     with pytest.raises(ValueError, match=r"1 of 1 training runs are lost, the first, tight 0, at"):
-        start = case()._replace(gains=weak.gains_of(jnp.asarray([-14.0])))
-        space_of_lost = search_space(start, (Search("r1", 1e-9, 1000.0, tied=True),))
+        start = case()._replace(gains=weak.gains_of(jnp.asarray([-3.6])))
+        space_of_lost = search_space(start, (Search("K", 1e-3, 1e6, tied=True),))
         make_problem(space_of_lost, (own,), TERMS[:1], width=4)
 
 
@@ -176,9 +177,10 @@ def test_a_start_has_weights_of_its_own():
     both = with_weights(problem(), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
     found = evaluate(both, np.stack([Z, Z]), np.arange(2))
     ratio = found.columns["contour_rms_um"][0] / both.scales[0]
-    assert found.objective[0] == pytest.approx(np.mean(ratio**2))
+    pull = 1e-4 * np.sum((Z - searched().start()) ** 2)
+    assert found.objective[0] == pytest.approx(np.mean(ratio**2) + pull)
     drawn = found.columns["energy_copper_J"][1] / both.scales[1]
-    assert found.objective[1] == pytest.approx(np.mean(drawn**2))
+    assert found.objective[1] == pytest.approx(np.mean(drawn**2) + pull)
     with pytest.raises(ValueError, match=r"weights must be \(starts, 3\)"):
         with_weights(problem(), np.ones((2, 2)))
 
@@ -243,13 +245,13 @@ def test_a_stopped_tuning_ends_the_same(tmp_path):
 
 
 def test_goals_are_met_before_anything_else():
-    """Least contour error among what moves the command by less than 30 mA a period."""
-    goals = parse_goals("command_change_rms_A < 0.03", available(case()))
+    """Least contour error among what moves the command by less than 60 mA a period."""
+    goals = parse_goals("command_change_rms_A < 0.06", available(case()))
     bound = make_problem(searched(), (group(0.25),), TERMS[:1], goals, width=4)
     found = tune(bound, levenberg_marquardt(), budget=80.0, prices=PRICES)
-    assert found.feasible and found.after < 0.5
+    assert found.feasible and found.after < 0.9
     change = evaluate(problem(), found.z[None]).columns["command_change_rms_A"]
-    assert 0.027 < np.max(change) < 0.03, "the goal is what stops it"
+    assert 0.058 < np.max(change) < 0.06, "the goal is what stops it"
 
 
 def test_only_the_metrics_that_are_asked_for_run():

@@ -125,6 +125,10 @@ def compare(
     verdicts: Annotated[
         bool, typer.Option("--verdicts", help="Print claim = verdict as TOML, nothing else.")
     ] = False,
+    gains: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LOOP=FILE", help="A loop with these gains, too. Repeatable."),
+    ] = None,
 ) -> None:
     """What a paper claims, what this simulation gives, and a computed verdict on each claim."""
     from jaxstage.runtime import configure, cpu_cores
@@ -134,8 +138,10 @@ def compare(
     from tuning import comparisons, runs
 
     chosen = comparisons.find_study(study)
+    given = comparisons.gains_files(chosen, gains or [])
     if out is not None:
         runs.check_folder(out)
+    others = comparisons.other_gains(given)
     quiet = as_json or verdicts
     compared = compare_study(chosen, lambda text: print(f"simulating {text}", file=sys.stderr))
     if verdicts:
@@ -143,11 +149,12 @@ def compare(
 
         print(tomli_w.dumps({j.id: j.verdict for j in compared.claims}), end="")
     if as_json:
-        print(json.dumps(comparisons.as_object(compared), indent=2, allow_nan=False))
+        print(json.dumps(comparisons.as_object(compared, others), indent=2, allow_nan=False))
     if not quiet:
         comparisons.show(compared, None if sys.stdout.isatty() else 200)
+        comparisons.show_gains(others)
     if out is not None:
-        files = comparisons.draw(compared, out)
+        files = comparisons.draw(compared, out, others)
         if not quiet:
             print(f"{', '.join(file.name for file in files)}, compare.json: {out}/")
 

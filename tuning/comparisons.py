@@ -1,9 +1,10 @@
 """A study's claims against this simulation: as an object, as text, as pictures."""
 
 import json
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 from rich.console import Console
@@ -11,13 +12,15 @@ from rich.table import Table
 
 from jaxstage import __version__
 from jaxstage.metrics import record, together
+from jaxstage.metrics.table import split_key
 from jaxstage.runtime import cpu_cores
 from jaxstage.settings import nearest_name
 from jaxstage.studies import Comparison, Study, known_studies, with_metric
 from jaxstage.studies.claim import count
 from jaxstage.studies.comparison import stored_verdicts
-from jaxstage.studies.experiment import ChartDrawing, RunDrawing
+from jaxstage.studies.experiment import ChartDrawing, RunDrawing, measure
 from tuning.results import write_text
+from tuning.runs import prepare
 
 COLOURS = {"holds": "green", "fails": "red", "unchecked": "dim"}
 
@@ -31,7 +34,45 @@ def find_study(name: str) -> Study:
     return studies[name]
 
 
-def as_object(compared: Comparison) -> dict[str, Any]:
+class OtherGains(NamedTuple):
+    """A loop with the gains of its study and with those of a file: the scored figures of both."""
+
+    loop: str
+    file: str
+    study: dict[str, Any]
+    given: dict[str, Any]
+
+
+def gains_files(study: Study, words: Sequence[str]) -> dict[str, Path]:
+    """Loop -> file of ``LOOP=FILE`` words. Raises ValueError for a loop of no or another study."""
+    names = [entry.name for entry in study.loops]
+    found: dict[str, Path] = {}
+    for word in words:
+        loop, equals, file = word.partition("=")
+        if not equals or not file:
+            raise ValueError(f"--gains {word}: must be LOOP=FILE")
+        if loop not in names:
+            raise ValueError(
+                f"--gains {word}: {study.name} has no such loop{nearest_name(loop, names)}"
+            )
+        found[loop] = Path(file)
+    return found
+
+
+def other_gains(given: Mapping[str, Path], words: Sequence[str] = ()) -> tuple[OtherGains, ...]:
+    """Simulate loops with the gains of their study and of files. words: as for ``--set``."""
+    cases = {}
+    for loop, file in given.items():
+        cases[f"{loop}/study"] = prepare(loop, list(words)).case
+        cases[f"{loop}/given"] = prepare(loop, list(words), file).case
+    found = measure(cases)
+    return tuple(
+        OtherGains(loop, str(file), found[f"{loop}/study"], found[f"{loop}/given"])
+        for loop, file in given.items()
+    )
+
+
+def as_object(compared: Comparison, others: Sequence[OtherGains] = ()) -> dict[str, Any]:
     """The object that ``--json`` prints."""
     return {
         "study": compared.study.name,
@@ -41,6 +82,7 @@ def as_object(compared: Comparison) -> dict[str, Any]:
         "counts": count(compared.claims),
         "claims": [judgement._asdict() for judgement in compared.claims],
         "changed": changed(compared),
+        "gains": [one._asdict() for one in others],
     }
 
 
@@ -48,6 +90,22 @@ def changed(compared: Comparison) -> list[str]:
     """Claims whose verdict is not the one stored with the study."""
     stored = stored_verdicts(compared.study)
     return [j.id for j in compared.claims if stored.get(j.id) != j.verdict]
+
+
+def show_gains(others: Sequence[OtherGains]) -> None:
+    """Print the figures of each loop with the gains of the study and of the file."""
+    for one in others:
+        table = Table(box=None, padding=(0, 2), header_style="bold")
+        table.add_column(f"{one.loop}, {one.file}")
+        for name in ("study", "given"):
+            table.add_column(name, justify="right", no_wrap=True)
+        table.add_column("")
+        for name, first in one.study.items():
+            second, (shown, unit) = one.given.get(name), split_key(name)
+            for axis in first if isinstance(first, dict) else ("",):
+                pair = [v[axis] if isinstance(v, dict) else v for v in (first, second)]
+                table.add_row(f"{shown} {axis}".strip(), *map(_number, pair), unit)
+        Console(highlight=False).print(table)
 
 
 def show(compared: Comparison, width: int | None = None) -> None:
@@ -84,7 +142,7 @@ def _difference(share: float | None) -> str:
     return f"{share:+.1%}" if abs(share) < 10 else f"{share:+.2g}".replace("e+0", "e") + " x"
 
 
-def draw(compared: Comparison, folder: Path) -> list[Path]:
+def draw(compared: Comparison, folder: Path, others: Sequence[OtherGains] = ()) -> list[Path]:
     """Write claims.png, the study's drawings and compare.json; returns the files."""
     from jaxstage import plot
 
@@ -102,7 +160,7 @@ def draw(compared: Comparison, folder: Path) -> list[Path]:
             files.append(file)
         else:
             files += _draw_run(drawing, next(views), folder)
-    write_text(folder / "compare.json", json.dumps(as_object(compared), indent=2) + "\n")
+    write_text(folder / "compare.json", json.dumps(as_object(compared, others), indent=2) + "\n")
     return files
 
 

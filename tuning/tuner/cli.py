@@ -34,7 +34,7 @@ def tune(
     margin: Annotated[
         float,
         typer.Option(help="Gain margin: trains with 1 -+ this share of the command, too."),
-    ] = 0.0,
+    ] = 0.5,
     train: Annotated[
         Path | None, typer.Option(help="TOML file of training and held-out runs.")
     ] = None,
@@ -114,7 +114,7 @@ def _tune(
             watch.stage("trade-offs" if pareto else "")
             front = trade_offs.pareto(outcome, plan.table["budget"], out) if pareto else None
             watch.stage("the loop itself, before and after")
-            before, after = outcome.problem.space.gains, outcome.tuned.gains
+            before, after = outcome.problem.space.gains, outcome.chosen.gains
             pair = simulate_pair(plan.case, before, after, recorded=out is not None)
     except KeyboardInterrupt:
         told = "; every evaluation is kept, --resume goes on" if out else ""

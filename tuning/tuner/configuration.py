@@ -31,18 +31,24 @@ from tuning.tuner.options import (
     search_of,
 )
 from tuning.tuner.problem import WIDTH, Group, Problem, make_group, make_problem
-from tuning.tuner.sets import MOST_RUNS, Series, Wanted, scenarios, series, set_table
+from tuning.tuner.sets import MOST_RUNS, Series, Wanted, same_law, scenarios, series, set_table
 from tuning.tuner.space import SearchSpace, default_searches, search_space
 from tuning.tuner.training import Asked, apart, read_sets, spreads_of
-from tuning.tuner.tune import METHODS
+from tuning.tuner.tune import AMONG, METHODS
 
 KIND = Kind("tune.toml", "tuning", ("jaxstage", "loop"))
 #: plants among which the worst are looked for
 POOL = 64
-#: added to the seed of the training plants: for those that progress is shown on, and for pools
-FRESH_SEED, POOL_SEED = 2_000_003, 3_000_017
+#: other plants that gains must hold before they are judged on the held-out ones
+VALIDATION = 12
+#: added to the seed of the training plants: for those that progress is shown on, pools, validation
+FRESH_SEED, POOL_SEED, VALIDATION_SEED = 2_000_003, 3_000_017, 4_000_037
 #: the method is chosen by the number of parameters and the gradient check
 AUTO = "auto"
+
+
+#: what the command may be off by, either way, in training: a stability margin
+MARGIN = 0.5
 
 
 class Request(NamedTuple):
@@ -55,7 +61,7 @@ class Request(NamedTuple):
     objective: str | None = None
     goals: tuple[str, ...] = ()
     risk: str = "mean"
-    margin: float = 0.0
+    margin: float = MARGIN
     train: Path | None = None
     method: str = AUTO
     starts: int = 2
@@ -105,6 +111,7 @@ def configure_tuning(request: Request) -> str:
     apart(sets)
     trained = _named_set("train", sets.train, asked)
     case = case_of(trained["case"][0], _blocks(request.scenario))
+    same_law(prepared.case, case)
     columns = available(case)
     unit = key("", case.loop.plant.command_unit).removeprefix("_")
     objective = request.objective or default_objective(columns, unit)
@@ -149,7 +156,7 @@ def _check_numbers(request: Request) -> None:
     if not 0 <= request.seed < 2**32:
         raise ValueError(f"--seed {request.seed}: must be 0..{2**32 - 1}")
     for name, value, least, most in (
-        ("--starts", request.starts, 1, 64),
+        ("--starts", request.starts, 1, AMONG),
         ("--worst-case", request.worst_case, 0, 20),
     ):
         if not least <= value <= most:
@@ -214,6 +221,12 @@ def pool(plan: Plan, number: int) -> list[Series]:
     """Training runs on `POOL` plants among which the worst are looked for. number: of the pool."""
     table = _other_plants(plan, POOL_SEED + number)
     return series({**table, "plants": POOL, "nominal": False, "noise_seeds": 1}, plan.blocks)
+
+
+def validation(plan: Plan) -> dict[str, Any]:
+    """The table of training runs on other plants, at least `VALIDATION` of them."""
+    table = _other_plants(plan, VALIDATION_SEED)
+    return {**table, "plants": max(VALIDATION, table["plants"]), "noise_seeds": 1}
 
 
 def _other_plants(plan: Plan, apart: int) -> dict[str, Any]:

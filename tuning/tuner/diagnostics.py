@@ -4,6 +4,8 @@ and whether the sampled loop is stable."""
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxstage.stability import spectral_radius, transition
@@ -73,8 +75,8 @@ def effects(
     return Effects(idle, tuple(groups), every)
 
 
-def diagnose(problem: Problem, tuned: Tuned, case: Case) -> Diagnostics:
-    """Diagnostics of a result. case: the nominal loop."""
+def diagnose(problem: Problem, tuned: Tuned, z: np.ndarray, case: Case) -> Diagnostics:
+    """Diagnostics of a result. z: the gains chosen. case: the nominal loop."""
     notes = []
     check = tuned.check
     if check is None:
@@ -83,7 +85,8 @@ def diagnose(problem: Problem, tuned: Tuned, case: Case) -> Diagnostics:
     if tuned.n > MOST_CURVED:
         notes.append(f"no Gauss-Newton matrix of {tuned.n} parameters: it would cost too much")
     else:
-        curved = curvatures(problem, tuned.z[None])
+        every = np.repeat(z[None], len(tuned.starts), axis=0)  # as in training: compiled already
+        curved = curvatures(problem, every)
         numbers = (curved.gauss_newton[0], curved.gradient[0], float(curved.objective[0]))
         if all(np.isfinite(np.asarray(x)).all() for x in numbers):
             found = effects(*numbers, problem.space.labels)
@@ -95,11 +98,11 @@ def diagnose(problem: Problem, tuned: Tuned, case: Case) -> Diagnostics:
         gradient_error=errors,
         gradient_ok=check.ok if check else None,
         non_finite=check.non_finite if check else 0,
-        at_bounds=tuple(p.label for p in parameters(problem.space, tuned.z) if p.at_bound),
+        at_bounds=tuple(p.label for p in parameters(problem.space, z) if p.at_bound),
         effects=found,
         starts=ends,
         starts_agree=ends[1] <= ends[0] * (1 + AGREE) if len(ends) > 1 else None,
-        radius=_radii(case, problem.space.gains, tuned.gains),
+        radius=_radii(case, problem.space.gains, problem.space.gains_of(jnp.asarray(z))),
         notes=tuple(notes),
     )
 
@@ -108,8 +111,10 @@ def _radii(case: Case, before: Any, after: Any) -> tuple[float, float] | None:
     """Spectral radii of one control period of the nominal loop, after a few; None where not
     finite."""
     past = 2 + case.loop.drive.max_delay
-    found = [
-        float(spectral_radius(transition(case.loop, gains, case.scenario, case.path, past)))
-        for gains in (before, after)
-    ]
-    return (found[0], found[1]) if np.isfinite(found).all() else None
+
+    @jax.jit
+    def matrix(gains: Any) -> jax.Array:
+        return transition(case.loop, gains, case.scenario, case.path, past)
+
+    first, second = (float(spectral_radius(matrix(gains))) for gains in (before, after))
+    return (first, second) if np.isfinite([first, second]).all() else None

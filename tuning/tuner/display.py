@@ -72,10 +72,10 @@ def show(outcome: Outcome, extras: Extras) -> None:
     console.print(f"{verdict}; held out: {verdict_text(outcome.held_out)}")
     for reason in outcome.refused:
         console.print(f"  {reason}")
-    before, after = outcome.trials.exact.objective
+    before, after = outcome.chosen.trials.exact.objective
     console.print(f"objective {table['objective']}: {before:.4g} before, {after:.4g} after")
     console.print(_figures(outcome, extras))
-    console.print(_gains(parameters(outcome.problem.space, tuned.z)))
+    console.print(_gains(parameters(outcome.problem.space, outcome.chosen.z)))
     for text in _diagnostics(outcome):
         console.print(text)
     if extras.baselines:
@@ -130,12 +130,18 @@ def _diagnostics(outcome: Outcome) -> Iterator[str]:
     if found.starts_agree is not None:
         told = ", ".join(f"{value:.4g}" for value in found.starts)
         yield f"starts {'agree' if found.starts_agree else 'do NOT agree'}: {told}"
+    trials = outcome.chosen.trials
     for name, one in (
-        ("half the step", outcome.trials.half_step),
-        ("longer", outcome.trials.longer),
+        ("training runs, half the step", trials.half_step),
+        ("other plants, longer", trials.longer),
     ):
         first, second = one.figure
-        yield f"training runs, {name}: {outcome.plan.figure} {first:.4g} -> {second:.4g}"
+        yield f"{name}: {outcome.plan.figure} {first:.4g} -> {second:.4g}"
+    if outcome.chosen.share < 1:
+        yield (
+            f"taken back to {outcome.chosen.share:.0%} of the way from the gains before: what was "
+            "found did not pass these tests"
+        )
     if found.radius:
         yield f"spectral radius of a period: {found.radius[0]:.6g} -> {found.radius[1]:.6g}"
     yield from found.notes

@@ -15,7 +15,7 @@ def non_dominated(points: np.ndarray) -> np.ndarray:
     One beats another if it is nowhere larger and somewhere smaller. Of equal points the first
     stays.
     """
-    kept = np.isfinite(points).all(axis=1)
+    kept = np.asarray(np.isfinite(points).all(axis=1))
     for i in np.flatnonzero(kept):
         others = points[kept]
         beaten = np.all(others <= points[i], axis=1) & np.any(others < points[i], axis=1)

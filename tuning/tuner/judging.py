@@ -11,12 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxstage.batch import rollouts
-from jaxstage.studies import Timing
+from jaxstage.metrics import selected
+from jaxstage.studies import Case, Timing, with_metric
+from jaxstage.studies.case import scored
 from tuning.scenarios import batch
 from tuning.statistics import Interval, Share, bootstrap, share
 from tuning.sweeps.rows import figure_columns, flag_columns
+from tuning.tuner.figures import available
 from tuning.tuner.sets import Series, series
 
+#: metrics whose figures are told of runs that only judge
+KEPT = ("tracking", "following", "contour", "effort", "energy")
 #: bytes that the figures of one batch may take
 MEMORY = 2e9
 #: a figure that differs by more between the step and half of it depends on the integration
@@ -51,6 +56,14 @@ def figures(every: Sequence[Series], gains: Sequence[Any]) -> dict[str, np.ndarr
     tables = [_simulated(one, gains) for one in every]
     names = [name for name in tables[0] if all(name in table for table in tables)]
     return {name: np.concatenate([table[name] for table in tables], axis=1) for name in names}
+
+
+def light(case: Case, figure: str) -> Case:
+    """The case with the metrics of `KEPT` and that of a figure, over its scored part."""
+    known = available(case)
+    wanted = {*KEPT, known.get(figure)} - {""}
+    names = dict.fromkeys(name for name in known.values() if name in wanted)
+    return with_metric(case, scored(selected(case.metric, tuple(names)), case.window))
 
 
 def _simulated(one: Series, gains: Sequence[Any]) -> dict[str, np.ndarray]:
@@ -94,7 +107,8 @@ def has_column(columns: Mapping[str, Any], figure: str, axes: Sequence[str]) -> 
 
 
 def judge(every: Sequence[Series], before: Any, after: Any, figure: str) -> Judged:
-    """Both gains on the same runs."""
+    """Both gains on the same runs. columns: those of `KEPT`, and the figure."""
+    every = [one._replace(case=light(one.case, figure)) for one in every]
     columns = figures(every, [before, after])
     values = column_of(columns, figure, every[0].case.loop.plant.axes)
     return Judged(figure, values[0], values[1], columns)
@@ -198,8 +212,9 @@ class Trial(NamedTuple):
 
 
 class Trials(NamedTuple):
-    """Both gains on the training runs, on the exact model. exact: as they were. missed: one line
-    for each goal that the gains after do not meet there."""
+    """Both gains on the exact model. exact: on the training runs. half_step: the same. longer: on
+    other plants, `LONGER` times as long. missed: one line for each goal that the gains after do not
+    meet in the training runs."""
 
     exact: Trial
     half_step: Trial
@@ -209,6 +224,11 @@ class Trials(NamedTuple):
 
 def refusals(found: Trials, held_out: HeldOut) -> tuple[str, ...]:
     """Why the gains are not accepted, one line each; none: they are."""
+    return (*trial_refusals(found), *_held_out_refusals(held_out))
+
+
+def trial_refusals(found: Trials) -> tuple[str, ...]:
+    """What the training runs in their three forms say against the gains, one line each."""
     reasons = [*found.missed]
     before, after = found.exact.objective
     if found.exact.lost:
@@ -218,12 +238,10 @@ def refusals(found: Trials, held_out: HeldOut) -> tuple[str, ...]:
             f"the objective on the exact model did not fall: {before:.4g} before, {after:.4g} after"
         )
     figure = found.exact.figure[1]
-    for name, one in (
-        ("half the step", found.half_step),
-        (f"{LONGER} times the time", found.longer),
-    ):
+    far = f"{LONGER} times the time and other plants"
+    for name, one in (("half the step", found.half_step), (far, found.longer)):
         if one.lost:
-            reasons.append(f"with {name} {one.lost} training runs are lost")
+            reasons.append(f"with {name} {one.lost} runs are lost")
         elif not one.objective[1] < one.objective[0]:
             reasons.append(
                 f"with {name} the objective did not fall: {one.objective[0]:.4g} before, "
@@ -236,10 +254,8 @@ def refusals(found: Trials, held_out: HeldOut) -> tuple[str, ...]:
             "the integration"
         )
     if longer > GROWTH_LIMIT * abs(figure):
-        reasons.append(
-            f"over {LONGER} times the time the figure grows from {figure:.4g} to {longer:.4g}"
-        )
-    return (*reasons, *_held_out_refusals(held_out))
+        reasons.append(f"with {far} the figure grows from {figure:.4g} to {longer:.4g}")
+    return tuple(reasons)
 
 
 def _held_out_refusals(found: HeldOut) -> tuple[str, ...]:

@@ -1,10 +1,12 @@
 """What matters: weighted terms, hard goals, and how the runs of a training set are summed up.
 
     c_s = sum_t w_t (v_ts / scale_t)^2 / sum_t w_t + mu sum_g max(0, violation_gs + TIGHT)^2
+          + PULL |z - z of the gains before|^2
     J   = sum_s omega_s c_s,   omega: `mean`, `worst` or `cvar` of the c_s
 
 v_ts: figure t of run s; scale: what counts as 1, by default the figure of the gains before, so that
 J = 1 before and a halved error gives a quarter. Everything is a square, so least squares applies.
+The pull is weak: what does not matter stays as it was, and no search drifts to the edge of a box.
 
 A goal is a comparison; its violation is (left - right) / |right|, positive when it is missed. mu
 grows while the best gains miss a goal: the terms are minimised among what meets the goals. A lost
@@ -26,6 +28,8 @@ from tuning.specification import number, parse
 LOST = 1e6
 #: goals are aimed at this share inside of them, so that a small rest of violation does not matter
 TIGHT = 0.01
+#: what a gain costs that moves by one unit of z, about a factor e
+PULL = 1e-4
 
 
 class Term(NamedTuple):

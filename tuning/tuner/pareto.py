@@ -32,7 +32,8 @@ BEYOND = 1.1
 class Front(NamedTuple):
     """Trade-offs. columns: (m,) names. weights: (k, m), row 0 NaN: the tuned gains. points: (k, m),
     mean figures. kept: (k,) bool, on the front. suggested: row. before: (m,). volume: share of the
-    box between zero and the reference that the front beats. gains: of each row. units: spent."""
+    box from the best of each figure to the reference that the front beats. gains: of each row.
+    units: spent."""
 
     columns: tuple[str, ...]
     weights: np.ndarray
@@ -66,18 +67,19 @@ def pareto(outcome: Outcome, budget: float, folder: Path | None) -> Front:
     every = _problem(plan, problem, columns)
     shares = weights(len(columns), STEPS)
     shares = LEAST + (1 - len(columns) * LEAST) * shares
-    begun = np.repeat(tuned.z[None], len(shares), axis=0)
+    begun = np.repeat(outcome.chosen.z[None], len(shares), axis=0)
     made = METHODS.get(plan.table["method"], METHODS["lm" if tuned.n <= 30 else "lbfgs"])
     found = tune(
         with_weights(every, shares), made(), begun, plan.table["seed"], budget,
         journal=journal(folder, "pareto"),
     )  # fmt: skip
-    z = np.stack([tuned.z, *(start.z for start in found.starts)])
+    z = np.stack([outcome.chosen.z, *(start.z for start in found.starts)])
     points = _means(evaluate(every, z), columns)
     before = _means(evaluate(every, problem.space.start()[None]), columns)[0]
     kept = non_dominated(points)
     front = np.flatnonzero(kept)
-    reference = BEYOND * np.nanmax(np.vstack([points[kept], before]), axis=0)
+    every_kept = np.vstack([points[kept], before])
+    ideal, reference = every_kept.min(axis=0), BEYOND * every_kept.max(axis=0)
     return Front(
         columns=columns,
         weights=np.vstack([np.full(len(columns), np.nan), shares]),
@@ -86,7 +88,7 @@ def pareto(outcome: Outcome, budget: float, folder: Path | None) -> Front:
         suggested=int(front[knee(points[kept])]),
         before=before,
         reference=reference,
-        volume=hypervolume(points, reference) / float(np.prod(reference)),
+        volume=hypervolume(points, reference) / float(np.prod(reference - ideal)),
         gains=tuple(problem.space.gains_of(jnp.asarray(one)) for one in z),
         units=found.units,
     )

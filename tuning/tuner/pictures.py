@@ -103,7 +103,7 @@ def _moved(outcome: Outcome) -> list[tuning.Moved]:
             f"{p.label.removeprefix('gains.')} ({p.unit})", p.before, p.value, p.low, p.high,
             logs[p.path], p.at_bound,
         )
-        for p in parameters(space, outcome.tuned.z)
+        for p in parameters(space, outcome.chosen.z)
     ]  # fmt: skip
 
 

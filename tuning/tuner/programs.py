@@ -18,7 +18,7 @@ from jaxstage.fields import replace
 from jaxstage.settings import with_leaf
 from tuning.tuner.figures import Measured, Recipe, measure
 from tuning.tuner.groups import Group
-from tuning.tuner.objective import LOST, TIGHT, Goal, Risk, Term
+from tuning.tuner.objective import LOST, PULL, TIGHT, Goal, Risk, Term
 from tuning.tuner.space import SearchSpace
 
 #: lanes that run together at most
@@ -125,6 +125,8 @@ def _costs(
     for value in missed:
         over = jnp.maximum(value + TIGHT, jnp.zeros_like(value))
         residuals.append(jnp.sqrt(penalty) * over[..., None])
+    moved = jnp.sqrt(jnp.asarray(PULL, z.dtype)) * (z - jnp.asarray(space.start(), z.dtype)[None])
+    residuals.append(jnp.broadcast_to(moved[:, None], (*shape, z.shape[1])))
     none = jnp.zeros(shape, z.dtype)
     barrier = LOST * (2.0 - jnp.where(gone, share, none) + jnp.log(fast))
     largest = jnp.max(jnp.stack(missed), axis=0) if missed else none - 1

@@ -37,15 +37,15 @@ class Extras(NamedTuple):
 
 def as_object(outcome: Outcome, extras: Extras) -> dict[str, Any]:
     """What ``--json`` prints and tune.json holds. What cannot be said is None."""
-    tuned, objective = outcome.tuned, outcome.trials.exact.objective
+    tuned, objective = outcome.tuned, outcome.chosen.trials.exact.objective
     return {
         "loop": outcome.plan.table["loop"],
         "version": __version__,
         "configuration_sha256": digest(outcome.plan.text),
         "method": tuned.method,
         "n": tuned.n,
-        "units": tuned_number(outcome.units),
-        "seconds": tuned_number(outcome.seconds),
+        "units": rounded(outcome.units),
+        "seconds": rounded(outcome.seconds),
         "ended": tuned.ended,
         "objective": outcome.plan.table["objective"],
         "accepted": not outcome.refused,
@@ -65,9 +65,9 @@ def number(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def tuned_number(value: float) -> float:
-    """Units and seconds with a digit behind the point."""
-    return round(float(value), 1)
+def rounded(value: float) -> float:
+    """Units and seconds with three digits behind the point."""
+    return round(float(value), 3)
 
 
 def _interval(found: Interval | None) -> dict[str, float | None] | None:
@@ -96,7 +96,7 @@ def gains_object(outcome: Outcome) -> dict[str, Any]:
             "value": p.value, "before": p.before, "low": number(p.low), "high": number(p.high),
             "unit": p.unit, "symbol": p.symbol, "at_bound": p.at_bound,
         }
-        for p in parameters(outcome.problem.space, outcome.tuned.z)
+        for p in parameters(outcome.problem.space, outcome.chosen.z)
     }  # fmt: skip
 
 
@@ -110,7 +110,7 @@ def _trial(found: Trial) -> dict[str, Any]:
 
 def diagnostics_object(outcome: Outcome) -> dict[str, Any]:
     """What the result rests on."""
-    found, trials = outcome.diagnostics, outcome.trials
+    found, trials = outcome.diagnostics, outcome.chosen.trials
     effects = found.effects
     return {
         "gradient_ok": found.gradient_ok,
@@ -125,11 +125,12 @@ def diagnostics_object(outcome: Outcome) -> dict[str, Any]:
         "spectral_radius": dict(zip(("before", "after"), found.radius, strict=True))
         if found.radius
         else None,
+        "share": outcome.chosen.share,
         "exact": _trial(trials.exact),
         "half_step": _trial(trials.half_step),
         "longer": _trial(trials.longer),
         "rounds": [
-            {"added": list(one.added), "units": tuned_number(one.tuned.units),
+            {"added": list(one.added), "units": rounded(one.tuned.units),
              "before": number(one.tuned.before), "after": number(one.tuned.after)}
             for one in outcome.rounds
         ],
@@ -142,7 +143,7 @@ def baseline_object(found: Course, outcome: Outcome) -> dict[str, Any]:
     best = course(outcome.rounds[0].tuned).best[-1]
     return {
         "method": found.method,
-        "units": tuned_number(found.units[-1]),
+        "units": rounded(found.units[-1]),
         "objective": number(found.best[-1]),
         "units_to_same": found.reached(float(best)),
     }
@@ -168,7 +169,7 @@ def front_object(front: Front | None) -> dict[str, Any] | None:
         "before": row(front.before),
         "hypervolume": number(front.volume),
         "reference": row(front.reference),
-        "units": tuned_number(front.units),
+        "units": rounded(front.units),
     }  # fmt: skip
 
 
@@ -198,7 +199,7 @@ def gains_text(outcome: Outcome, gains: Any = None, remark: str = "") -> str:
     verdict = verdict or [f"held out: {verdict_text(outcome.held_out)}"]
     entries = outcome.problem.space.entries
     return to_text(
-        outcome.tuned.gains if gains is None else gains,
+        outcome.chosen.gains if gains is None else gains,
         [TunedGain(e.path, e.symbol, e.unit, e.low, e.high, e.before) for e in entries],
         [
             f"tuned for {outcome.plan.table['loop']} by jaxstage {__version__}, "

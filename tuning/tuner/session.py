@@ -4,10 +4,11 @@ Training sees only the training runs. What accepts or refuses comes after, on th
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from tuning.sweeps.rows import figure_names
@@ -18,6 +19,7 @@ from tuning.tuner.configuration import (
     pool,
     problem_of,
     runs_of,
+    validation,
 )
 from tuning.tuner.diagnostics import Diagnostics, diagnose
 from tuning.tuner.judging import (
@@ -31,13 +33,15 @@ from tuning.tuner.judging import (
     judge,
     prolonged,
     refusals,
+    trial_refusals,
 )
-from tuning.tuner.objective import Goal
 from tuning.tuner.problem import Evaluation, Problem, evaluate
 from tuning.tuner.sets import Series, series
 from tuning.tuner.tune import METHODS, Progress, Tuned, tune
 from tuning.tuner.worst_case import worst_plants
 
+#: how far gains may go from those before to those found; nearer ones where tests refuse the end
+SHARES = (1.0, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2)
 #: figures that held-out runs are judged by where the objective has one of its own
 USUAL = ("contour_rms_um", "following_rms_um")
 
@@ -51,17 +55,19 @@ class Now(NamedTuple):
 
 
 class Watch(NamedTuple):
-    """Who is told: of every step, and of what comes next."""
+    """Who is told: of every step, and of what comes next. other_plants: whether the objective on
+    other plants is to be told, too."""
 
     step: Callable[[Now], None]
     stage: Callable[[str], None]
+    other_plants: bool = True
 
 
 def _nothing(told: Any) -> None:
     return None
 
 
-SILENT = Watch(_nothing, _nothing)
+SILENT = Watch(_nothing, _nothing, other_plants=False)
 
 
 class Round(NamedTuple):
@@ -71,15 +77,23 @@ class Round(NamedTuple):
     added: tuple[str, ...]
 
 
+class Chosen(NamedTuple):
+    """The gains that come out. share: of the way from those before to those that were found."""
+
+    z: np.ndarray
+    gains: Any
+    share: float
+    trials: Trials
+
+
 class Outcome(NamedTuple):
-    """A tuning and what it rests on. problem: on the training runs, without added plants. tuned: of
-    the last round, its objective and scales as in that round. judged: the held-out runs. refused:
-    why not accepted."""
+    """A tuning and what it rests on. problem: on the training runs, without added plants. judged:
+    the held-out runs. refused: why the chosen gains are not accepted."""
 
     plan: Plan
     problem: Problem
     rounds: tuple[Round, ...]
-    trials: Trials
+    chosen: Chosen
     held_out: HeldOut
     judged: Judged
     diagnostics: Diagnostics
@@ -106,23 +120,23 @@ def run_tuning(plan: Plan, folder: Path | None = None, watch: Watch = SILENT) ->
     watch.stage("compiling the training runs")
     groups = groups_of(plan, runs_of(plan, "train"))
     problem = problem_of(plan, groups)
-    rounds = _rounds(plan, problem, folder, watch)
+    rounds = train_rounds(plan, problem, folder, watch)
     tuned = rounds[-1].tuned
-    watch.stage("testing on the exact model: half the step, a longer run")
-    trials = _trials(plan, problem, tuned)
+    watch.stage("testing on the exact model: half the step, longer on other plants")
+    chosen = _choose(plan, problem, tuned)
     watch.stage("testing on held-out plants")
-    judged = held_out(plan, tuned.gains)
+    judged = held_out(plan, chosen.gains)
     verdict = held_out_verdict(judged)
     watch.stage("diagnostics")
     return Outcome(
         plan=plan,
         problem=problem,
         rounds=rounds,
-        trials=trials,
+        chosen=chosen,
         held_out=verdict,
         judged=judged,
-        diagnostics=diagnose(problem, tuned, plan.case),
-        refused=refusals(trials, verdict),
+        diagnostics=diagnose(problem, tuned, chosen.z, plan.case),
+        refused=refusals(chosen.trials, verdict),
     )
 
 
@@ -134,10 +148,14 @@ def journal(folder: Path | None, name: str) -> Path | None:
 # --- training ----------------------------------------------------------------------------------
 
 
-def _rounds(plan: Plan, problem: Problem, folder: Path | None, watch: Watch) -> tuple[Round, ...]:
+def train_rounds(
+    plan: Plan, problem: Problem, folder: Path | None = None, watch: Watch = SILENT
+) -> tuple[Round, ...]:
+    """Search, then, as often as the configuration asks for it, add the worst of other plants to the
+    training runs and go on. folder: keeps every evaluation."""
     table, made = plan.table, METHODS.get(plan.table["method"])
     budget = table["budget"] / (table["worst_case"] + 1)
-    other = _fresh_problem(plan, problem)
+    other = _fresh_problem(plan, problem) if watch.other_plants else None
     rounds: list[Round] = []
     groups, added = list(problem.groups), ()
     for number in range(table["worst_case"] + 1):
@@ -169,7 +187,7 @@ def _fresh_problem(plan: Plan, problem: Problem) -> Problem:
 SHOWING = 0.1
 
 
-def _stepwise(number: int, other: Problem, watch: Watch) -> Callable[[Progress], None]:
+def _stepwise(number: int, other: Problem | None, watch: Watch) -> Callable[[Progress], None]:
     """Tells of a step, and of the same gains on other plants where they got better."""
     shown: dict[str, float] = {"best": np.inf, "spent": 0.0, "begun": time.perf_counter()}
     fresh: list[float] = []
@@ -177,7 +195,7 @@ def _stepwise(number: int, other: Problem, watch: Watch) -> Callable[[Progress],
     def told(progress: Progress) -> None:
         now = time.perf_counter()
         due = shown["spent"] <= SHOWING * (now - shown["begun"])
-        if watch.step is not _nothing and progress.best < shown["best"] and due:
+        if other is not None and progress.best < shown["best"] and due:
             fresh.append(float(evaluate(other, progress.z[None]).objective[0]))
             shown["best"] = progress.best
             shown["spent"] += time.perf_counter() - now
@@ -189,46 +207,56 @@ def _stepwise(number: int, other: Problem, watch: Watch) -> Callable[[Progress],
 # --- testing -----------------------------------------------------------------------------------
 
 
-def _trials(plan: Plan, problem: Problem, tuned: Tuned) -> Trials:
-    """Both gains on the training runs: as they were, with half the step, and longer."""
-    ends = np.stack([problem.space.start(), tuned.z])
-    exact = evaluate(problem, ends)
-    half = _again(plan, problem, half_step(plan.table["train"], plan.blocks), ends)
-    longer = _again(plan, problem, prolonged(plan.table["train"], plan.blocks), ends)
-    missed = tuple(_missed(goal, exact) for goal in problem.goals if _worst(goal, exact) > 0)
-    return Trials(*(_trial(plan, found) for found in (exact, half, longer)), missed)
+def _choose(plan: Plan, problem: Problem, tuned: Tuned) -> Chosen:
+    """The best gains on the way from those before to those found that pass their trials; those
+    found where none do."""
+    begun = problem.space.start()
+    points = begun + np.append(0.0, SHARES)[:, None] * (tuned.z - begun)
+    forms = [
+        evaluate(problem, points),
+        _again(plan, problem, half_step(plan.table["train"], plan.blocks), points),
+        _again(plan, problem, prolonged(validation(plan), plan.blocks), points),
+    ]
+    found = [
+        Chosen(points[i], problem.space.gains_of(jnp.asarray(points[i])), share,
+               _trials(plan, problem, forms, i))
+        for i, share in enumerate(SHARES, start=1)
+    ]  # fmt: skip
+    good = [one for one in found if not trial_refusals(one.trials)]
+    return min(good, key=lambda one: one.trials.exact.objective[1]) if good else found[0]
 
 
-def _again(plan: Plan, problem: Problem, every: list[Series], ends: np.ndarray) -> Evaluation:
-    """Both gains on the training runs in another form."""
-    return evaluate(problem_of(plan, groups_of(plan, every), problem, width=len(ends)), ends)
+def _trials(plan: Plan, problem: Problem, forms: list[Evaluation], index: int) -> Trials:
+    exact, half, longer = (_trial(plan, form, index) for form in forms)
+    return Trials(exact, half, longer, missed(problem, forms[0], index))
 
 
-def _trial(plan: Plan, found: Evaluation) -> Trial:
-    values = found.columns[plan.figure]
+def _again(plan: Plan, problem: Problem, every: list[Series], z: np.ndarray) -> Evaluation:
+    """Candidates on the training runs in another form."""
+    return evaluate(problem_of(plan, groups_of(plan, every), problem, width=len(z)), z)
+
+
+def _trial(plan: Plan, found: Evaluation, index: int) -> Trial:
+    """The candidate at a place against the first."""
+    values = found.columns[plan.figure][[0, index]]
     both = np.isfinite(values).all(axis=0)
     means = values[:, both].mean(axis=1) if both.any() else np.full(2, np.nan)
-    lost = int(np.isfinite(found.lost_at_s[1]).sum())
-    return Trial(
-        (float(means[0]), float(means[1])),
-        (float(found.objective[0]), float(found.objective[1])), lost,
-    )  # fmt: skip
+    before, after = found.objective[[0, index]]
+    lost = int(np.isfinite(found.lost_at_s[index]).sum())
+    return Trial((float(means[0]), float(means[1])), (float(before), float(after)), lost)
 
 
-def _of_after(found: Evaluation) -> Mapping[str, np.ndarray]:
-    return {name: values[1] for name, values in found.columns.items()}
-
-
-def _worst(goal: Goal, found: Evaluation) -> float:
-    return float(np.max(np.asarray(goal.violation(_of_after(found)))))
-
-
-def _missed(goal: Goal, found: Evaluation) -> str:
-    """A goal that is not met, with the figures of the run that misses it most."""
-    columns = _of_after(found)
-    run = int(np.argmax(np.asarray(goal.violation(columns))))
-    told = ", ".join(f"{name} = {columns[name][run]:.4g}" for name in goal.names)
-    return f"the goal {goal.text} is not met: {told} in one of the training runs"
+def missed(problem: Problem, found: Evaluation, index: int) -> tuple[str, ...]:
+    """The goals that a candidate does not meet, with the figures of the run that misses most."""
+    columns = {name: values[index] for name, values in found.columns.items()}
+    told = []
+    for goal in problem.goals:
+        over = np.nan_to_num(np.asarray(goal.violation(columns)), nan=np.inf)
+        run = int(np.argmax(over))
+        if over[run] > 0:
+            figures = ", ".join(f"{name} = {columns[name][run]:.4g}" for name in goal.names)
+            told.append(f"the goal {goal.text} is not met: {figures} in {problem.run_names[run]}")
+    return tuple(told)
 
 
 def held_out_figure(plan: Plan) -> str:

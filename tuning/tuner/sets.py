@@ -84,7 +84,7 @@ def set_table(
         for horizon in wanted.horizons or (None,)
     ]
     for case in cases[1:]:
-        _same_law(cases[0], case)
+        same_law(cases[0], case)
     return {
         "plants": wanted.plants,
         "nominal": wanted.nominal,
@@ -111,7 +111,8 @@ def _timed(
     return prepare(contour.loop, words, gains, scenario, retimed=retimed).case
 
 
-def _same_law(first: Case, other: Case) -> None:
+def same_law(first: Case, other: Case) -> None:
+    """Raise ValueError for two cases that no gains fit both."""
     structures = {jax.tree.structure(case.gains) for case in (first, other)}
     if first.loop.controller != other.loop.controller or len(structures) > 1:
         raise ValueError(

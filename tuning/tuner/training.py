@@ -31,6 +31,7 @@
 What is left out is taken from the default of its set (`default_training`, `default_held_out`).
 """
 
+import functools
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -134,7 +135,7 @@ def default_held_out(asked: Asked, case: Case) -> Wanted:
     else with the motion spread, too, at the loop's own lap time and `LONGER` times as long."""
     timing = longer(case.timing)
     assert timing.duration is not None
-    others = sisters(asked.loop, case)
+    others = sisters(asked.loop, case.timing.dt, case.timing.substeps)
     own = [
         {"path": path, "distribution": "uniform", "low": 1 - SPREAD, "high": 1 + SPREAD}
         for path, quantity, value in leaves(case.path, "reference")
@@ -150,16 +151,17 @@ def default_held_out(asked: Asked, case: Case) -> Wanted:
     )  # fmt: skip
 
 
-def sisters(loop: str, case: Case) -> tuple[str, ...]:
+@functools.cache
+def sisters(loop: str, dt: float, substeps: int) -> tuple[str, ...]:
     """Loops of the same study with the same law and published gains on another contour."""
     stem = loop.rpartition("-")[0]
     study = next(s for s in known_studies() if any(entry.name == loop for entry in s.loops))
     names = [e.name for e in study.loops if stem and e.name.startswith(f"{stem}-")]
-    dt = case.timing.dt  # a short lap: only the curves are compared
-    short = Timing(lap_time=GLANCE * dt, laps=1, dt=dt, substeps=case.timing.substeps)
-    own = find(loop).build(short)
-    found = [name for name in names if name != loop and _is_sister(own, name)]
-    return tuple(found)
+    if len(names) < 2:
+        return ()
+    # a short lap: only the curves are compared
+    own = find(loop).build(Timing(lap_time=GLANCE * dt, laps=1, dt=dt, substeps=substeps))
+    return tuple(name for name in names if name != loop and _is_sister(own, name))
 
 
 def _is_sister(own: Case, name: str) -> bool:

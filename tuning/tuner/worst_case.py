@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tuning.tuner.judging import column_of, figures
+from tuning.tuner.judging import column_of, figures, light
 from tuning.tuner.sets import Series
 
 #: plants added to each contour in a round
@@ -25,11 +25,9 @@ def worst_plants(every: list[Series], gains: Any, figure: str) -> Found:
     worst, the earlier the worse."""
     added, largest, labels = [], 0.0, []
     for one in every:
-        columns = figures([one], [gains])
+        columns = figures([one._replace(case=light(one.case, figure))], [gains])
         values = column_of(columns, figure, one.case.loop.plant.axes)[0]
-        ranked = np.where(np.isnan(values), np.inf, values)
-        lost = np.nan_to_num(columns["lost_at_s"][0], nan=np.inf)
-        order = np.lexsort((lost, -ranked))[:ADDED]
+        order = worst_of(values, columns["lost_at_s"][0], ADDED)
         added.append(
             one._replace(
                 values={path: value[order] for path, value in one.values.items()},
@@ -37,6 +35,12 @@ def worst_plants(every: list[Series], gains: Any, figure: str) -> Found:
                 labels=tuple(one.labels[i] for i in order),
             )
         )
-        largest = max(largest, float(ranked[order[0]]))
+        largest = max(largest, float(np.nan_to_num(values[order[0]], nan=np.inf)))
         labels += added[-1].labels
     return Found(added, largest, tuple(labels))
+
+
+def worst_of(values: np.ndarray, lost_at: np.ndarray, count: int) -> np.ndarray:
+    """Places of the largest values (n,). NaN: lost runs, which come first, the earliest first."""
+    ranked = np.nan_to_num(values, nan=np.inf)
+    return np.lexsort((np.nan_to_num(lost_at, nan=np.inf), -ranked))[:count]

@@ -1,4 +1,4 @@
-"""The loops of the adaptive sliding-mode study: four laws in nine scenarios, and five variants."""
+"""The loops of the adaptive sliding-mode study: four laws in nine scenarios, and seven variants."""
 
 import functools
 from collections.abc import Callable, Mapping
@@ -30,7 +30,7 @@ from jaxstage.controllers.parts.reaching import (
 from jaxstage.drives import current_drive
 from jaxstage.loads import no_load
 from jaxstage.metrics import between, high_frequency, reaching_gain, standard
-from jaxstage.numerics.smooth import SmoothWidth, Switch, exact, smooth
+from jaxstage.numerics.smooth import Layer, SmoothWidth, Switch, exact, implicit, smooth
 from jaxstage.plants import ScrewTable, screw_table
 from jaxstage.references import Trifolium, constant_feed_phase, trifolium, uniform_phase
 from jaxstage.references.trifolium import Phase, length
@@ -92,6 +92,10 @@ def _width() -> SmoothWidth:
     return SmoothWidth(width=jnp.full(2, 1e-4))  # chosen
 
 
+def _layer() -> Layer:
+    return Layer(layer=jnp.full(2, 1.0))  # chosen: dead-beat
+
+
 SCENES = (
     Scene("s0", "no disturbance", values.frictionless),
     Scene("s1", "friction fitted to Table 3"),
@@ -117,6 +121,9 @@ MATCHED = Scene("s0m", "no disturbance, started at speed", values.frictionless, 
 PRINTED = SCENES[6]._replace(
     name="s6-printed", summary="as s6, sign of that term as printed", damping_rate=modelled(-1)
 )
+IMPLICIT = SCENES[7]._replace(
+    name="s7-implicit", summary="as s7, implicit switching", switch=implicit, width=_layer
+)
 WIDE = SCENES[1]._replace(name="s1-wide", summary="as s1, eps = 50 um/s", dead_zone=5e-5)
 
 
@@ -136,17 +143,21 @@ LAWS = (
     ),
     Law("asmc", "sliding mode, adaptive gain law", reaching.adaptive, _adaptive),
 )  # fmt: skip
+FLOORED = LAWS[3]._replace(
+    name="asmc-floored", summary="sliding mode, adaptive gain law kept at its floor",
+    form=reaching.adaptive_floored,
+)  # fmt: skip
 STIFF = Law("smc-k120", "sliding mode, K = 120", reaching.fixed, lambda _: values.fixed_gain(120.0))
 
 
 def scene(name: str) -> Scene:
     """The scenario called ``name``."""
-    return next(s for s in (*SCENES, MATCHED, PRINTED, WIDE) if s.name == name)
+    return next(s for s in (*SCENES, MATCHED, PRINTED, WIDE, IMPLICIT) if s.name == name)
 
 
 def law(name: str) -> Law:
     """The law called ``name``."""
-    return next(law for law in (*LAWS, STIFF) if law.name == name)
+    return next(law for law in (*LAWS, STIFF, FLOORED) if law.name == name)
 
 
 def _surface(memory: Any) -> Array:
@@ -261,7 +272,7 @@ BOXES = (
     Box(path="reaching.cap", low=80.0, high=390.0, reason=_SAMPLED),
     Box(path="switching_gain", low=1e-5, high=1.0, reason="chosen: below and above the friction"),
     Box(path="switch.width", low=1e-6, high=1e-2, reason="chosen: sharp to next to none"),
-    Box(path="switch.layer", low=1.0, high=100.0, reason="chosen: dead-beat to next to none"),
+    Box(path="switch.layer", low=0.5, high=50.0, reason="chosen: dead-beat to next to none"),
 )
 
 _PAIRS = (
@@ -271,6 +282,8 @@ _PAIRS = (
     (STIFF, scene("s4")),
     (law("asmc"), WIDE),
     (law("smc"), PRINTED),
+    (law("smc"), IMPLICIT),
+    (FLOORED, IMPLICIT),
 )
 
 loops: tuple[NamedLoop, ...] = tuple(

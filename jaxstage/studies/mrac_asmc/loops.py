@@ -77,7 +77,7 @@ BOXES = (
     Box(path="switching_gain", low=1e-3, high=5.0, reason="chosen: far below and above friction"),
     Box(path="sharpness", low=5e2, high=5e5, reason=_AROUND),
     Box(path="switch.width", low=1e-5, high=1e-1, reason="chosen: sharp to next to none"),
-    Box(path="switch.layer", low=1.0, high=100.0, reason="chosen: dead-beat to next to none"),
+    Box(path="switch.layer", low=0.5, high=50.0, reason="chosen: dead-beat to next to none"),
     Box(path="position_gain", low=6.0, high=200.0, reason=_POLES),
     Box(path="velocity_gain", low=40.0, high=1000.0, reason=_POLES),
     Box(path="integral_gain", low=800.0, high=8e4, reason=_AROUND),
