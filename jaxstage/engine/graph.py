@@ -25,12 +25,14 @@ from jaxstage.engine.rules import simpler
 class Graph(NamedTuple):
     """Nodes in the order in which they were made: arguments stand before their users.
 
-    largest: of the real type; what may exceed it may be infinite.
+    largest: of the real type; what may exceed it may be infinite. rich: for a kernel, which may
+    also hold ``all_finite`` of any number of arguments, and ``loop`` (see `inner`).
     """
 
     nodes: list[Node]
     table: dict[Any, Node]
     largest: float
+    rich: bool = False
 
     def const(self, value: Any, kind: str) -> Node:
         """A constant."""
@@ -62,7 +64,7 @@ class Graph(NamedTuple):
 
     def op(self, name: str, *args: Node, kind: str = "") -> Node:
         """An operation; kind: of the result, that of the last argument if left out."""
-        if name in COMPARISONS or name == "is_finite":
+        if name in COMPARISONS or name in ("is_finite", "all_finite"):
             kind = "b"
         kind = kind or args[-1].kind
         if all(a.op == "const" for a in args):
@@ -91,6 +93,6 @@ class Graph(NamedTuple):
         return node
 
 
-def new_graph(single: bool = False) -> Graph:
+def new_graph(single: bool = False, rich: bool = False) -> Graph:
     """An empty graph. single: reals are float32, else float64."""
-    return Graph([], {}, 3.4028234663852886e38 if single else 1.7976931348623157e308)
+    return Graph([], {}, 3.4028234663852886e38 if single else 1.7976931348623157e308, rich)

@@ -67,7 +67,7 @@ def lower(
     levels += [TICK if n in counting else RUN for n in range(len(program.carry))]
     levels += [RUN] * len(groups)
     parts = cut(steps, levels)
-    graph = new_graph(program.single)
+    graph = new_graph(program.single, rich=True)
     values, tables = _inputs(program, graph, parts, groups)
     for step in parts.own():
         reads = [_value(graph, values, v) for v in step.reads]

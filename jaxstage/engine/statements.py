@@ -10,12 +10,18 @@ TYPES = {"f": "vec", "i": "ints", "u": "ints", "l": "ints", "b": "mask"}
 
 
 class Store(NamedTuple):
-    """What becomes of a result: cell ``slot`` of an array, set or added to."""
+    """What becomes of a result: cell ``slot`` of an array, set or added to; only ``where``."""
 
     array: str
     slot: int
     node: Node
     add: bool = False
+    where: Node | None = None
+
+    @property
+    def needs(self) -> list[Node]:
+        """The nodes that it reads."""
+        return [self.node, *([self.where] if self.where is not None else [])]
 
 
 class Cells(NamedTuple):
@@ -39,7 +45,9 @@ def write(
     """The statements that compute and store."""
     stores = list(stores)
     puts, plain = indexed(stores, cells)
-    roots = [s.node for s in plain] + [n for p in puts for n in p.needs]
+    guarded, plain = _guarded(plain, cells)
+    roots = [n for s in plain for n in s.needs] + [n for p in puts for n in p.needs]
+    roots += [n for own in guarded for s in own for n in s.needs]
     names = dict(known.names)
     nodes = _until(roots, known)
     loads: dict[int, list[Node]] = {}
@@ -75,12 +83,49 @@ def write(
             else:
                 text = expression(own, [name(a) for a in own.args], single)
             lines.append(f"const {TYPES[own.kind]} {names[own.id]} = {text};")
+    places_of = [at(p.index) for p in puts]
+    for own in guarded:
+        together = [(p, at) for p, at in zip(puts, places_of, strict=True) if p.where is own[0].where]
+        lines += _guarded_stores(own, together, name)
+        puts = [p for p in puts if p.where is not own[0].where]
     for put in puts:
         where = "every(true)" if put.where is None else name(put.where)
-        place = at(put.index)
-        lines.append(f"put({put.array}+{put.slot}, {place}, {where}, {name(put.value)});")
+        lines.append(f"put({put.array}+{put.slot}, {at(put.index)}, {where}, {name(put.value)});")
     lines += [_stored(s, name(s.node)) for s in plain]
     return lines
+
+
+def _guarded_stores(
+    stores: list[Store], puts: list["tuple[Put, str]"], name: Callable[[Node], str]
+) -> list[str]:
+    """Where the condition holds in every lane, as nearly always, there is nothing to select."""
+    where = name(stores[0].where)  # type: ignore[arg-type]
+    free = [f"{s.array}[{s.slot}] = {name(s.node)};" for s in stores]
+    free += [f"put({p.array}+{p.slot}, {at}, every(true), {name(p.value)});" for p, at in puts]
+    held = [
+        f"{s.array}[{s.slot}] = pick({where}, {name(s.node)}, {s.array}[{s.slot}]);"
+        for s in stores
+    ]
+    held += [f"put({p.array}+{p.slot}, {at}, {where}, {name(p.value)});" for p, at in puts]
+    return [f"if (__builtin_expect(everywhere({where}), 1)) {{", *free, "} else {", *held, "}"]
+
+
+def _guarded(stores: list[Store], cells: Cells) -> tuple[list[list[Store]], list[Store]]:
+    """Stores of ``where ? value : what the cell held`` under one condition, and the rest."""
+    groups: dict[int, list[Store]] = {}
+    rest = []
+    for store in stores:
+        node = store.node
+        if node.op == "select" and node.kind == "f" and _holds(store, node.args[2], cells):
+            own = store._replace(node=node.args[1], where=node.args[0])
+            groups.setdefault(node.args[0].id, []).append(own)
+        else:
+            rest.append(store)
+    several = [g for g in groups.values() if len(g) > 2]
+    for group in groups.values():
+        if len(group) <= 2:
+            rest += [s for s in stores if any(s.array == o.array and s.slot == o.slot for o in group)]
+    return several, rest
 
 
 def _until(roots: list[Node], known: Known) -> list[Node]:
