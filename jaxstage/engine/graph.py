@@ -62,6 +62,10 @@ class Graph(NamedTuple):
         value = (source, offset)
         return self._found("load", kind, (index,), value, (low, high), kind == "f" and not finite)
 
+    def special(self, op: str, args: tuple[Node, ...], value: Any, kind: str) -> Node:
+        """A ``loop`` or what comes after it, see `inner`."""
+        return self._found(op, kind, args, value, LIMITS[kind], kind == "f")
+
     def op(self, name: str, *args: Node, kind: str = "") -> Node:
         """An operation; kind: of the result, that of the last argument if left out."""
         if name in COMPARISONS or name in ("is_finite", "all_finite"):
@@ -80,7 +84,8 @@ class Graph(NamedTuple):
     def _found(
         self, op: str, kind: str, args: tuple[Node, ...], value: Any, bounds: Any, nan: bool
     ) -> Node:
-        key = (op, kind, tuple(a.id for a in args), repr(value))
+        told = value.number if op == "loop" else repr(value)
+        key = (op, kind, tuple(a.id for a in args), told)
         node = self.table.get(key)
         if node is None:
             low, high = (float(b) if kind == "f" else b for b in bounds)

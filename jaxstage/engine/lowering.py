@@ -251,6 +251,8 @@ def hoist(low: Lowered, stores: list[Store], where: Cells) -> Hoisted:
             stack.append(node.args[0])
             continue
         stack.extend(node.args)
+        if node.op == "loop":
+            stack.extend((*node.value.inside, *node.value.rows))
     names, made, counts = {}, [], {True: 0, False: 0}
     for node in [*outer.values(), *inverse.values()]:
         if node.op == "const" or node.id in names:

@@ -74,7 +74,12 @@ def write(
         same_index = loads[node.args[0].id] if node.op == "load" else [node]
         for own in same_index:
             names[own.id] = f"{prefix}{own.id}"
-            if own.op == "in":
+            if own.op == "loop":
+                lines += loop_lines(own, nodes, names, cells, known, single, prefix)
+                continue
+            if own.op == "after":
+                text = _after(own, prefix)
+            elif own.op == "in":
                 text = cells.read(own)
             elif own.op == "load":
                 text = _load(own, cells, at(own.args[0]))
@@ -93,6 +98,90 @@ def write(
         lines.append(f"put({put.array}+{put.slot}, {at(put.index)}, {where}, {name(put.value)});")
     lines += [_stored(s, name(s.node)) for s in plain]
     return lines
+
+
+def _array_of(node: Node, name: str, prefix: str, number: int) -> str:
+    return f"{prefix}{name}{'i' if node.kind != 'f' else ''}{number}"
+
+
+def _after(node: Node, prefix: str) -> str:
+    name, *at = node.value
+    array = _array_of(node, name, prefix, node.args[0].value.number)
+    text = array + "".join(f"[{i}]" for i in at)
+    return f"as_mask({text})" if node.kind == "b" else text
+
+
+def _truth(node: Node, text: str) -> str:
+    return f"as_ints({text})" if node.kind == "b" else text
+
+
+def loop_lines(
+    loop: Node, nodes: list[Node], names: dict[int, str], cells: Cells, known: Known, single: bool,
+    prefix: str,
+) -> list[str]:  # fmt: skip
+    """A loop inside a tick: its arrays, and one round of it in a C loop."""
+    inner, number = loop.value, loop.value.number
+    used = sorted(_rows_used(loop, nodes))
+    lines = [
+        f"{kind} {prefix}c{i}{number}[{len(inner.begin)}], {prefix}y{i}{number}[{inner.length}]"
+        f"[{len(inner.rows)}], {prefix}x{i}{number}[{inner.length}][{len(inner.given)}];"
+        for kind, i in (("vec", ""), ("ints", "i"))
+    ]
+
+    def name(node: Node) -> str:
+        return constant(node) if node.op == "const" else names[node.id]
+
+    for at, node in enumerate(inner.begin):
+        lines.append(f"{_array_of(node, 'c', prefix, number)}[{at}] = {_truth(node, name(node))};")
+    for at, source in enumerate(inner.given):
+        for t, node in enumerate(source[1] if source[0] == "own" else ()):
+            array = _array_of(node, "x", prefix, number)
+            lines.append(f"{array}[{t}][{at}] = {_truth(node, name(node))};")
+    k = f"k{number}"
+    steps = (f"int {k} = {inner.length - 1}; {k} >= 0; {k}--" if inner.reverse
+             else f"int {k} = 0; {k} < {inner.length}; {k}++")  # fmt: skip
+
+    def read(node: Node) -> str:
+        (group, own), at = node.value
+        if group not in ("L", "X") or own != number:
+            return cells.read(node)
+        if group == "L":
+            text = f"{_array_of(node, 'c', prefix, number)}[{at}]"
+        elif inner.given[at][0] == "count":
+            _, first, step = inner.given[at]
+            text = f"same((whole)({first} + {step} * {k}))"
+        elif inner.given[at][0] == "rows":
+            _, before, cell = inner.given[at]
+            text = f"{_array_of(node, 'y', prefix, before.value.number)}[{k}][{cell}]"
+        else:
+            text = f"{_array_of(node, 'x', prefix, number)}[{k}][{at}]"
+        return f"as_mask({text})" if node.kind == "b" else text
+
+    stores = [
+        Store(_array_of(node, "c", prefix, number), at, node)
+        for at, node in enumerate(inner.inside)
+    ]
+    stores += [
+        Store(f"{_array_of(inner.rows[at], 'y', prefix, number)}[{k}]", at, inner.rows[at])
+        for at in used
+    ]
+    round_of = write(
+        stores, Cells(read, cells.array), Known(dict(names), known.reciprocals), single, prefix
+    )
+    return [*lines, f"for ({steps}) {{", *round_of, "}"]
+
+
+def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
+    """The cells of the rows that somebody reads."""
+    found = set()
+    for node in nodes:
+        if node.op == "after" and node.args[0] is loop and node.value[0] == "y":
+            found.add(node.value[2])
+        if node.op == "loop":
+            found |= {
+                s[2] for s in node.value.given if s[0] == "rows" and s[1] is loop
+            }
+    return found
 
 
 def _guarded_stores(
