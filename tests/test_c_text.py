@@ -134,12 +134,13 @@ class Hazards:
     before: jax.Array = signal("1", "", "the queue before", shape="(6,)")
     ring: jax.Array = signal("1", "", "last values, by number", shape="(8,)")
     weights: jax.Array = signal("1", "", "sums by cell", shape="(3, 4)")
+    marks: jax.Array = signal("1", "", "values of the first ticks of a round", shape="(4,)")
     constant: jax.Array = signal("1", "", "as at the start", shape="(5,)")
     at: jax.Array = signal("1", "", "number of the newest")
     odd: jax.Array = signal("1", "", "whether it is odd")
 
 
-def hazardous(wide=False):
+def hazardous():
     """A law with a swap, a queue, a ring, a table with cells that coincide, a number and a flag."""
 
     def init(gains, setpoint, seen):
@@ -147,8 +148,8 @@ def hazardous(wide=False):
         return Hazards(
             first=zero + 1, second=setpoint.position[0], queue=jnp.stack([zero] * 6),
             before=jnp.stack([zero + 2] * 6), ring=jnp.stack([zero] * 8),
-            weights=jnp.stack([jnp.stack([zero] * 4)] * 3), constant=jnp.stack([zero + 3] * 5),
-            at=jnp.zeros((), I32), odd=jnp.zeros((), bool),
+            weights=jnp.stack([jnp.stack([zero] * 4)] * 3), marks=jnp.stack([zero] * 4),
+            constant=jnp.stack([zero + 3] * 5), at=jnp.zeros((), I32), odd=jnp.zeros((), bool),
         )  # fmt: skip
 
     def control(gains, memory, setpoint, seen, dt):
@@ -161,12 +162,14 @@ def hazardous(wide=False):
         kept = replace(
             memory, first=memory.second, second=memory.first + x,
             queue=jnp.concatenate([x[None], memory.queue[:-1]]), before=memory.queue, ring=ring,
-            weights=weights, at=jnp.where(memory.at >= 7, 0, memory.at + 1), odd=~memory.odd,
+            weights=weights, marks=jnp.where(memory.at == jnp.arange(4), x, memory.marks),
+            at=jnp.where(memory.at >= 7, 0, memory.at + 1), odd=~memory.odd,
         )  # fmt: skip
         demand = jnp.stack([
             kept.first, kept.second, ring[7 - at] + memory.ring[at], jnp.sum(memory.before),
             memory.weights[row, column], jnp.sum(weights[row]), memory.at.astype(x.dtype),
             jnp.where(memory.odd, x, y), memory.constant[0], jnp.sum(kept.queue),
+            memory.marks[0] - memory.marks[3],
         ])  # fmt: skip
         return demand, kept
 
@@ -181,7 +184,7 @@ def hazardous(wide=False):
 
 
 def test_memory_is_written_when_nothing_reads_it_any_more(tmp_path):
-    law, periods, axes = hazardous(), 60, 10
+    law, periods, axes = hazardous(), 60, 11
     rng = np.random.default_rng(5)
     first, second = (np.repeat(rng.uniform(-1, 5, (periods, 1)), axes, axis=1) for _ in range(2))
     first[7], second[9], first[11] = np.nan, np.nan, 1e20  # an index of NaN is 0

@@ -38,12 +38,9 @@ class Function(NamedTuple):
         """What a node reads of the arguments: nothing, an input, or all that a look-up reaches."""
         if node.op not in ("in", "load"):
             return []
-        leaf, first = node.value
-        reach = (
-            range(1)
-            if node.op == "in"
-            else range(int(node.args[0].low), int(node.args[0].high) + 1)
-        )
+        (leaf, first), reach = node.value, range(1)
+        if node.op == "load":
+            reach = range(int(node.args[0].low), int(node.args[0].high) + 1)
         group, number = self.leaves[leaf]
         return [Element(group, number, first + k) for k in reach]
 
@@ -67,9 +64,8 @@ class Law(NamedTuple):
     @property
     def functions(self) -> tuple[Function, ...]:
         """Those that there are."""
-        return (
-            (self.init, self.step) if self.settle is None else (self.init, self.step, self.settle)
-        )
+        both = (self.init, self.step)
+        return both if self.settle is None else (*both, self.settle)
 
 
 def trace(

@@ -1,6 +1,7 @@
 """What shows that the C text does what the simulation did: recorded ticks, a program that replays
 them, a Makefile, and a note to the reader."""
 
+import textwrap
 from typing import Any, NamedTuple
 
 import jax
@@ -122,9 +123,10 @@ def makefile(what: Identity) -> str:
     promotion = " -Wdouble-promotion" if what.single else ""
     return f"""# {what.mark}
 #
-#   make check              compile, replay the recorded ticks, compare
-#   make check CC=clang     the same with another compiler
-#   make size CROSS=arm-none-eabi- CC=arm-none-eabi-gcc CFLAGS="-Os -fstack-usage {ARM}"
+#   make check                    compile, replay the recorded ticks, compare
+#   make clean check CC=clang     the same with another compiler
+#   make size CROSS=arm-none-eabi- CC=arm-none-eabi-gcc CFLAGS="-Os -fstack-usage \\
+#     {ARM}"
 
 CC = cc
 CFLAGS = -O2
@@ -155,11 +157,17 @@ ARM = "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16"
 def readme(law: Law, what: Identity, ticks: int) -> str:
     """What is in the folder, how to call it, how it was checked."""
     p = what.prefix
+    title = textwrap.fill(f"{what.title}, control period {what.period:g} s.", 98)
     left = {group: unused(law, group) for group in ("setpoint", "measurement", "gains")}
     missing = "".join(f"  {group}: {', '.join(names)}\n" for group, names in left.items() if names)
+    if missing:
+        missing = f"\nWhat this law does not use, and its structs do not hold:\n{missing}"
+    rounded = (
+        "Samples and gains are rounded to single precision, the simulation computes in double.\n"
+    )
     return f"""{what.mark}
 
-{what.title}, control period {what.period:g} s.
+{title}
 
 {p}.h        structs with the unit and meaning of every member, the functions
 {p}.c        the law: C99 and math.h, no heap, no recursion, no state outside {p}_memory
@@ -172,21 +180,9 @@ Calls
 {call_order(law, what)}
 All functions only touch what they are given: several axes or machines need one {p}_memory each.
 The control period is part of the law; another one needs another export.
-{
-        f'''
-What this law does not use, and its structs do not hold:
-{missing}'''
-        if missing
-        else ""
-    }
+{missing}
 Check
 
 `make check` prints the largest difference between the demands of this C text and those of the
-simulation at the same samples, and fails beyond {BOUND[what.single]:g} of the largest demand{
-        '''.
-In single precision the samples and gains are rounded first; the demands they are compared with are
-computed in double precision'''
-        if what.single
-        else ""
-    }.
-"""
+simulation at the same samples, and fails beyond {BOUND[what.single]:g} of the largest demand.
+{rounded if what.single else ""}"""

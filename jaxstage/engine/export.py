@@ -1,7 +1,7 @@
 """A control law as C99: text for a drive, and the ticks of a simulation that it is checked with.
 
     run = simulate(replace(loop, metric=record), gains, scenario, path, 1000)
-    files = c_files("my-loop", loop, gains, scenario, run.rows, single=True)   # name -> text
+    files = c_files("my-loop", loop, gains, scenario, run.rows, "1.0", single=True)  # name -> text
 
 The law is traced into scalar operations once and written out for the shapes, the control period and
 the precision it has here; gains and memory stay variables. `tuning` writes the files into a folder.
@@ -38,7 +38,7 @@ def c_files(
     """The controller of a loop as C files, name -> text.
 
     name: of the loop. rows: what the metric `record` stored of a run of the loop, in double
-    precision. single: ``float`` in place of ``double``. axis: one axis alone, for a law in which
+    precision. version: written into every file. single: ``float`` in place of ``double``. axis: one axis alone, for a law in which
     none depends on another. prefix: begins every name in C. Raises ValueError for gains out of
     range, an unknown axis, axes that are coupled, a wrong prefix, and for a law that has no scalar
     form, with the reason.

@@ -25,12 +25,14 @@ from jaxstage.engine.rules import simpler
 class Graph(NamedTuple):
     """Nodes in the order in which they were made: arguments stand before their users.
 
-    largest: of the real type; what may exceed it may be infinite.
+    largest: of the real type; what may exceed it may be infinite. rich: for a kernel, which may
+    also hold ``all_finite`` of any number of arguments, and ``loop`` (see `inner`).
     """
 
     nodes: list[Node]
     table: dict[Any, Node]
     largest: float
+    rich: bool = False
 
     def const(self, value: Any, kind: str) -> Node:
         """A constant."""
@@ -60,9 +62,13 @@ class Graph(NamedTuple):
         value = (source, offset)
         return self._found("load", kind, (index,), value, (low, high), kind == "f" and not finite)
 
+    def special(self, op: str, args: tuple[Node, ...], value: Any, kind: str) -> Node:
+        """A ``loop`` or what comes after it, see `inner`."""
+        return self._found(op, kind, args, value, LIMITS[kind], kind == "f")
+
     def op(self, name: str, *args: Node, kind: str = "") -> Node:
         """An operation; kind: of the result, that of the last argument if left out."""
-        if name in COMPARISONS or name == "is_finite":
+        if name in COMPARISONS or name in ("is_finite", "all_finite"):
             kind = "b"
         kind = kind or args[-1].kind
         if all(a.op == "const" for a in args):
@@ -78,7 +84,8 @@ class Graph(NamedTuple):
     def _found(
         self, op: str, kind: str, args: tuple[Node, ...], value: Any, bounds: Any, nan: bool
     ) -> Node:
-        key = (op, kind, tuple(a.id for a in args), repr(value))
+        told = value.number if op == "loop" else repr(value)
+        key = (op, kind, tuple(a.id for a in args), told)
         node = self.table.get(key)
         if node is None:
             low, high = (float(b) if kind == "f" else b for b in bounds)
@@ -91,6 +98,6 @@ class Graph(NamedTuple):
         return node
 
 
-def new_graph(single: bool = False) -> Graph:
+def new_graph(single: bool = False, rich: bool = False) -> Graph:
     """An empty graph. single: reals are float32, else float64."""
-    return Graph([], {}, 3.4028234663852886e38 if single else 1.7976931348623157e308)
+    return Graph([], {}, 3.4028234663852886e38 if single else 1.7976931348623157e308, rich)

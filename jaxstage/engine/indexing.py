@@ -160,7 +160,7 @@ def look(g: Graph, nodes: list[Node], place: Any, at: list[Index]) -> Node | Non
         return None
     if first.op == "in":
         return _loaded(g, nodes, place, at)
-    if first.op in ("const", "load") or any(len(n.args) != len(first.args) for n in nodes):
+    if first.value is not None or any(len(n.args) != len(first.args) for n in nodes):
         return None
     args = []
     for position in range(len(first.args)):

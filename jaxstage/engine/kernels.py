@@ -210,6 +210,8 @@ def _work(stores: list[Store]) -> int:
         if node.id not in seen:
             seen.add(node.id)
             stack.extend(node.args)
+            if node.op == "loop":
+                stack.extend((*node.value.inside, *node.value.rows))
     return len(seen)
 
 

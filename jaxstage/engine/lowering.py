@@ -67,7 +67,7 @@ def lower(
     levels += [TICK if n in counting else RUN for n in range(len(program.carry))]
     levels += [RUN] * len(groups)
     parts = cut(steps, levels)
-    graph = new_graph(program.single)
+    graph = new_graph(program.single, rich=True)
     values, tables = _inputs(program, graph, parts, groups)
     for step in parts.own():
         reads = [_value(graph, values, v) for v in step.reads]
@@ -251,6 +251,8 @@ def hoist(low: Lowered, stores: list[Store], where: Cells) -> Hoisted:
             stack.append(node.args[0])
             continue
         stack.extend(node.args)
+        if node.op == "loop":
+            stack.extend((*node.value.inside, *node.value.rows))
     names, made, counts = {}, [], {True: 0, False: 0}
     for node in [*outer.values(), *inverse.values()]:
         if node.op == "const" or node.id in names:

@@ -44,7 +44,28 @@ def conjunction(g: Graph, nodes: list[Node]) -> Node:
         if reached >= set(range(int(index.low), int(index.high) + 1)):
             same = [what]
         kept.update((n.id, n) for n in same)
-    return tree_sum(g, "and", list(kept.values()))
+    return tree_sum(g, "and", _finite_together(g, list(kept.values())))
+
+
+def _finite_together(g: Graph, nodes: list[Node]) -> list[Node]:
+    """Without claims that follow from others: what a finite sum or product is made of is finite."""
+    claimed = [n.args[0] for n in nodes if n.op == "is_finite"]
+    implied: set[int] = set()
+    stack = [a for c in claimed for a in _made_of(c)]
+    while stack:
+        node = stack.pop()
+        if node.id not in implied:
+            implied.add(node.id)
+            stack.extend(_made_of(node))
+    left = [c for c in claimed if c.id not in implied]
+    rest = [n for n in nodes if n.op != "is_finite"]
+    if g.rich and len(left) > 1:
+        return [*rest, g.op("all_finite", *left)]
+    return [*rest, *(g.op("is_finite", c) for c in left)]
+
+
+def _made_of(node: Node) -> tuple[Node, ...]:
+    return node.args if node.op in ("add", "sub", "mul", "neg", "abs", "sqrt") else ()
 
 
 def _claim(node: Node) -> tuple[Node, int, Node] | None:

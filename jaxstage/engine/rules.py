@@ -166,6 +166,10 @@ def _is_finite(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
         return g.const(True, "b")
     if x.op in ("neg", "abs"):
         return g.op("is_finite", x.args[0])
+    if x.op == "max":
+        for p, q in (x.args, x.args[::-1]):
+            if p.finite and q.low > -math.inf:
+                return g.op("is_finite", q)
     if x.op == "select":
         yes, no = (g.op("is_finite", y) for y in x.args[1:])
         if _is(no, 1):

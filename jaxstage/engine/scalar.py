@@ -24,13 +24,16 @@ import numpy as np
 from jaxstage.engine.compat import CALLS, Literal, called, scan_parts
 from jaxstage.engine.graph import Graph, new_graph
 from jaxstage.engine.indexing import Lookup, gather, scatter, slice_at, update_at
+from jaxstage.engine.inner import Inner, bounds_of, inputs, loop_node, results, source_of
 from jaxstage.engine.moves import MOVES
 from jaxstage.engine.node import FUNCTIONS, Node, kind_of
 from jaxstage.engine.reductions import REDUCTIONS, dot, elementwise
 from jaxstage.engine.table import Table, cells_of
 
-#: longest inner loop that is unrolled, and the most equations that this may make of it
+#: longest inner loop that is written out, and the most equations that this may make of it
 UNROLL, EQUATIONS = 256, 20_000
+#: where loops may stay loops: the most equations that are written out instead
+WRITTEN_OUT = 1500
 
 
 class Traced(NamedTuple):
@@ -214,10 +217,10 @@ _ELEMENTWISE: dict[str, Callable[..., Node]] = {
 
 
 def _scan(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
-    """Unrolled."""
+    """Written out; a long one stays a loop where there may be one."""
     params = equation.params
     length, body = params["length"], params["jaxpr"]
-    if length > UNROLL or length * len(body.jaxpr.eqns) > EQUATIONS:
+    if not g.rich and (length > UNROLL or length * len(body.jaxpr.eqns) > EQUATIONS):
         raise NotImplementedError(f"an inner loop of {length} rounds")
     constants, carried = scan_parts(equation)
     fixed = args[:constants]
@@ -225,6 +228,8 @@ def _scan(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
         [cells_of(g, a) for a in part]
         for part in (args[constants : constants + carried], args[constants + carried :])
     )
+    if g.rich and length >= 4 and length * _equations(body.jaxpr) > WRITTEN_OUT:
+        return _looped(g, equation, fixed, carry, xs)
     rows: list[list[Any]] = [[] for _ in range(length)]
     order = range(length)
     for t in reversed(order) if params["reverse"] else order:
@@ -235,6 +240,33 @@ def _scan(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
     if not length:
         stacked = [np.empty(v.aval.shape, object) for v in equation.outvars[carried:]]
     return [*carry, *stacked]
+
+
+def _equations(jaxpr: Any) -> int:
+    """Equations of a jaxpr and of the calls in it."""
+    return sum(
+        _equations(called(e.params)[0]) if e.primitive.name in CALLS else 1 for e in jaxpr.eqns
+    )
+
+
+def _looped(g: Graph, equation: Any, fixed: list[Any], carry: list[Any], xs: list[Any]) -> list[Any]:
+    """As a node `loop`."""
+    length, body = equation.params["length"], equation.params["jaxpr"]
+    number = since = len(g.nodes)
+    given = [
+        source_of([x[(t, *index)] for t in range(length)])
+        for x in xs for index in np.ndindex(*x.shape[1:])
+    ]  # fmt: skip
+    own = inputs(g, number, "L", carry, lambda _: None)
+    row = inputs(g, number, "X", [_row(x, 0) for x in xs], lambda i: bounds_of(given[i], length))
+    out = scalarise(g, body.jaxpr, body.consts, [*fixed, *own, *row])
+    inside, rows = out[: len(carry)], out[len(carry) :]
+    inner = Inner(
+        number, length, equation.params["reverse"], tuple(cells(carry)), tuple(cells(inside)),
+        tuple(cells(rows)), tuple(given),
+    )  # fmt: skip
+    loop = loop_node(g, inner, since)
+    return results(g, loop, inside, rows)
 
 
 def _row(array: np.ndarray, t: int) -> np.ndarray:

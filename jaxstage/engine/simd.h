@@ -242,12 +242,11 @@ INLINE vec exponential_less_one(vec x) {
   return pick(gt(x, all(EXP_HIGH)), all(INFINITY), e);
 }
 INLINE vec hyperbolic_tangent(vec x) {
-  vec size = smaller(all(SINGLE ? 10 : 20), magnitude(x));
+  vec size = smaller(all(SINGLE ? 10 : 20), magnitude(x));  // NaN stays
   Reduced a = reduced(size + size);
   vec power = scaled(all(1), a);
   vec e = less_one(a.r) * power + (power - 1);
-  vec t = with_sign(e / (e + 2), x);
-  return pick(ne(x, x), x, t);
+  return with_sign(e / (e + 2), x);
 }
 INLINE vec logistic(vec x) { return 1 / (1 + exponential(-x)); }
 INLINE vec inverse_root(vec x) { return 1 / root(x); }

@@ -10,12 +10,18 @@ TYPES = {"f": "vec", "i": "ints", "u": "ints", "l": "ints", "b": "mask"}
 
 
 class Store(NamedTuple):
-    """What becomes of a result: cell ``slot`` of an array, set or added to."""
+    """What becomes of a result: cell ``slot`` of an array, set or added to; only ``where``."""
 
     array: str
     slot: int
     node: Node
     add: bool = False
+    where: Node | None = None
+
+    @property
+    def needs(self) -> list[Node]:
+        """The nodes that it reads."""
+        return [self.node, *([self.where] if self.where is not None else [])]
 
 
 class Cells(NamedTuple):
@@ -39,7 +45,9 @@ def write(
     """The statements that compute and store."""
     stores = list(stores)
     puts, plain = indexed(stores, cells)
-    roots = [s.node for s in plain] + [n for p in puts for n in p.needs]
+    guarded, plain = _guarded(plain, cells)
+    roots = [n for s in plain for n in s.needs] + [n for p in puts for n in p.needs]
+    roots += [n for own in guarded for s in own for n in s.needs]
     names = dict(known.names)
     nodes = _until(roots, known)
     loads: dict[int, list[Node]] = {}
@@ -66,7 +74,12 @@ def write(
         same_index = loads[node.args[0].id] if node.op == "load" else [node]
         for own in same_index:
             names[own.id] = f"{prefix}{own.id}"
-            if own.op == "in":
+            if own.op == "loop":
+                lines += loop_lines(own, nodes, names, cells, known, single, prefix)
+                continue
+            if own.op == "after":
+                text = _after(own, prefix)
+            elif own.op == "in":
                 text = cells.read(own)
             elif own.op == "load":
                 text = _load(own, cells, at(own.args[0]))
@@ -75,12 +88,133 @@ def write(
             else:
                 text = expression(own, [name(a) for a in own.args], single)
             lines.append(f"const {TYPES[own.kind]} {names[own.id]} = {text};")
+    places_of = [at(p.index) for p in puts]
+    for own in guarded:
+        together = [(p, at) for p, at in zip(puts, places_of, strict=True) if p.where is own[0].where]
+        lines += _guarded_stores(own, together, name)
+        puts = [p for p in puts if p.where is not own[0].where]
     for put in puts:
         where = "every(true)" if put.where is None else name(put.where)
-        place = at(put.index)
-        lines.append(f"put({put.array}+{put.slot}, {place}, {where}, {name(put.value)});")
+        lines.append(f"put({put.array}+{put.slot}, {at(put.index)}, {where}, {name(put.value)});")
     lines += [_stored(s, name(s.node)) for s in plain]
     return lines
+
+
+def _array_of(node: Node, name: str, prefix: str, number: int) -> str:
+    return f"{prefix}{name}{'i' if node.kind != 'f' else ''}{number}"
+
+
+def _after(node: Node, prefix: str) -> str:
+    name, *at = node.value
+    array = _array_of(node, name, prefix, node.args[0].value.number)
+    text = array + "".join(f"[{i}]" for i in at)
+    return f"as_mask({text})" if node.kind == "b" else text
+
+
+def _truth(node: Node, text: str) -> str:
+    return f"as_ints({text})" if node.kind == "b" else text
+
+
+def loop_lines(
+    loop: Node, nodes: list[Node], names: dict[int, str], cells: Cells, known: Known, single: bool,
+    prefix: str,
+) -> list[str]:  # fmt: skip
+    """A loop inside a tick: its arrays, and one round of it in a C loop."""
+    inner, number = loop.value, loop.value.number
+    used = sorted(_rows_used(loop, nodes))
+    lines = [
+        f"{kind} {prefix}c{i}{number}[{len(inner.begin)}], {prefix}y{i}{number}[{inner.length}]"
+        f"[{len(inner.rows)}], {prefix}x{i}{number}[{inner.length}][{len(inner.given)}];"
+        for kind, i in (("vec", ""), ("ints", "i"))
+    ]
+
+    def name(node: Node) -> str:
+        return constant(node) if node.op == "const" else names[node.id]
+
+    for at, node in enumerate(inner.begin):
+        lines.append(f"{_array_of(node, 'c', prefix, number)}[{at}] = {_truth(node, name(node))};")
+    for at, source in enumerate(inner.given):
+        for t, node in enumerate(source[1] if source[0] == "own" else ()):
+            array = _array_of(node, "x", prefix, number)
+            lines.append(f"{array}[{t}][{at}] = {_truth(node, name(node))};")
+    k = f"k{number}"
+    steps = (f"int {k} = {inner.length - 1}; {k} >= 0; {k}--" if inner.reverse
+             else f"int {k} = 0; {k} < {inner.length}; {k}++")  # fmt: skip
+
+    def read(node: Node) -> str:
+        (group, own), at = node.value
+        if group not in ("L", "X") or own != number:
+            return cells.read(node)
+        if group == "L":
+            text = f"{_array_of(node, 'c', prefix, number)}[{at}]"
+        elif inner.given[at][0] == "count":
+            _, first, step = inner.given[at]
+            text = f"same((whole)({first} + {step} * {k}))"
+        elif inner.given[at][0] == "rows":
+            _, before, cell = inner.given[at]
+            text = f"{_array_of(node, 'y', prefix, before.value.number)}[{k}][{cell}]"
+        else:
+            text = f"{_array_of(node, 'x', prefix, number)}[{k}][{at}]"
+        return f"as_mask({text})" if node.kind == "b" else text
+
+    stores = [
+        Store(_array_of(node, "c", prefix, number), at, node)
+        for at, node in enumerate(inner.inside)
+    ]
+    stores += [
+        Store(f"{_array_of(inner.rows[at], 'y', prefix, number)}[{k}]", at, inner.rows[at])
+        for at in used
+    ]
+    round_of = write(
+        stores, Cells(read, cells.array), Known(dict(names), known.reciprocals), single, prefix
+    )
+    return [*lines, f"for ({steps}) {{", *round_of, "}"]
+
+
+def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
+    """The cells of the rows that somebody reads."""
+    found = set()
+    for node in nodes:
+        if node.op == "after" and node.args[0] is loop and node.value[0] == "y":
+            found.add(node.value[2])
+        if node.op == "loop":
+            found |= {
+                s[2] for s in node.value.given if s[0] == "rows" and s[1] is loop
+            }
+    return found
+
+
+def _guarded_stores(
+    stores: list[Store], puts: list["tuple[Put, str]"], name: Callable[[Node], str]
+) -> list[str]:
+    """Where the condition holds in every lane, as nearly always, there is nothing to select."""
+    where = name(stores[0].where)  # type: ignore[arg-type]
+    free = [f"{s.array}[{s.slot}] = {name(s.node)};" for s in stores]
+    free += [f"put({p.array}+{p.slot}, {at}, every(true), {name(p.value)});" for p, at in puts]
+    held = [
+        f"{s.array}[{s.slot}] = pick({where}, {name(s.node)}, {s.array}[{s.slot}]);"
+        for s in stores
+    ]
+    held += [f"put({p.array}+{p.slot}, {at}, {where}, {name(p.value)});" for p, at in puts]
+    return [f"if (__builtin_expect(everywhere({where}), 1)) {{", *free, "} else {", *held, "}"]
+
+
+def _guarded(stores: list[Store], cells: Cells) -> tuple[list[list[Store]], list[Store]]:
+    """Stores of ``where ? value : what the cell held`` under one condition, and the rest."""
+    groups: dict[int, list[Store]] = {}
+    rest = []
+    for store in stores:
+        node = store.node
+        if node.op == "select" and node.kind == "f" and _holds(store, node.args[2], cells):
+            own = store._replace(node=node.args[1], where=node.args[0])
+            groups.setdefault(node.args[0].id, []).append(own)
+        else:
+            rest.append(store)
+    several = [g for g in groups.values() if len(g) > 2]
+    for group in groups.values():
+        if len(group) <= 2:
+            rest += [s for s in stores if any(s.array == o.array and s.slot == o.slot for o in group)]
+    return several, rest
 
 
 def _until(roots: list[Node], known: Known) -> list[Node]:
