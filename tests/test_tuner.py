@@ -1,6 +1,7 @@
 """The tuner's core on a small problem: figures, derivatives, goals, barrier, methods, resuming."""
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,6 @@ import pytest
 import jaxstage as js
 from jaxstage.metrics import selected
 from tuning.scenarios import draw, space, study_spreads
-from tuning.tuner import problem as problems
 from tuning.tuner.cma import cma_es
 from tuning.tuner.figures import available
 from tuning.tuner.first_order import first_order
@@ -216,7 +216,7 @@ def test_every_method_improves_and_says_what_it_spent():
         assert found.feasible and found.method == method.name
         steps = found.history
         assert steps[-1].units == pytest.approx(found.units) and found.units >= 60.0
-        assert all(a.best >= b.best for a, b in zip(steps, steps[1:], strict=False))
+        assert all(a.best >= b.best for a, b in itertools.pairwise(steps))
         again = evaluate(problem(), found.z[None]).objective[0]
         assert again == pytest.approx(found.after, rel=1e-9)
 

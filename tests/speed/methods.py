@@ -17,8 +17,8 @@ import numpy as np
 
 import jaxstage as js
 from tuning.blocks import with_blocks
-from tuning.scenarios import draw, space, study_spreads
 from tuning.cases import with_values
+from tuning.scenarios import draw, space, study_spreads
 from tuning.tuner.cma import cma_es
 from tuning.tuner.first_order import first_order
 from tuning.tuner.groups import make_group

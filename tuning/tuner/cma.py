@@ -11,15 +11,12 @@ import numpy as np
 
 from tuning.tuner.method import Method, Oracle
 
-#: below this step size of the distribution, relative to the first, a start is at its end
-SMALLEST = 1e-6
-
 
 class CmaState(NamedTuple):
     """optimisers: one a start, never changed in place. z, value: the best so far."""
 
     optimisers: tuple[Any, ...]
-    sigma: float
+    seed: int
     z: np.ndarray
     value: np.ndarray
     gradient_norm: np.ndarray
@@ -37,12 +34,15 @@ def _begin(
     )
     unknown = np.full(len(starts), np.nan)
     values = oracle.values(starts, np.arange(len(starts)))
-    return CmaState(made, sigma, starts, values, unknown, np.zeros(len(starts), bool))
+    return CmaState(made, seed, starts, values, unknown, np.zeros(len(starts), bool))
 
 
 def _step(oracle: Oracle, state: CmaState) -> CmaState:
     made = copy.deepcopy(state.optimisers)
     active = np.flatnonzero(~state.done)
+    for k in active:  # a copy begins with random numbers of its own, which no seed governs
+        source = np.random.SeedSequence((state.seed, int(k), made[k].generation))
+        made[k].reseed_rng(int(source.generate_state(1)[0]))
     points = {int(k): [made[k].ask() for _ in range(made[k].population_size)] for k in active}
     rows = np.concatenate([np.full(len(p), k) for k, p in points.items()])
     values = oracle.values(np.concatenate([np.array(p) for p in points.values()]), rows)

@@ -183,6 +183,7 @@ def make_programs(
 
     def tangents(z: Array, directions: Array, *arguments: Any) -> Any:
         """dr along each direction, (d, m, runs, pieces) a group; r, c and violation."""
+        _check_memory(groups, made, len(directions) * len(z))
 
         def residuals(z: Array) -> tuple[list[Array], Any]:
             found, every, violation = costs(False, z, *arguments)
@@ -219,6 +220,21 @@ def make_programs(
         return jnp.concatenate(each, axis=-1)
 
     return Programs(jax.jit(evaluate), jax.jit(slopes), jax.jit(curvatures), jax.jit(directional))
+
+
+def _check_memory(groups: tuple[Group, ...], made: tuple[Recipe, ...], tangents: int) -> None:
+    """Refuse a Jacobian whose stored ticks do not fit. tangents: of each run."""
+    stored = 0
+    for group, one in zip(groups, made, strict=True):
+        axes = len(group.case.loop.plant.axes)
+        numbers = sum(axes if square.axes else 1 for square in one.squared)
+        stored += 8 * numbers * group.runs * group.case.window.ticks
+    if tangents * stored > MEMORY:
+        raise ValueError(
+            f"the Jacobian of {sum(group.runs for group in groups)} training runs takes "
+            f"{tangents * stored / 1e9:.3g} GB (limit {MEMORY / 1e9:g} GB): train on fewer or "
+            "shorter runs, or take the method lbfgs"
+        )
 
 
 def _joined(*values: Any) -> Any:

@@ -257,6 +257,8 @@ def _box(
     if search.transform == linear:
         return np.full(before.shape, -np.inf), np.full(before.shape, np.inf)
     if search.transform == ordered:
+        if before.ndim != 1 or np.any(np.diff(before) <= 0):
+            raise ValueError(f"{path}: transform ordered needs a list of increasing values")
         low, high = _around(before)
     elif np.all(before > 0):
         low, high = before / factor, before * factor
@@ -300,8 +302,6 @@ def _check_box(
         raise ValueError(f"{path} = {before[at]:g} is outside its box {low[at]:g}..{high[at]:g}")
     if transform == logarithmic and not np.all(low > 0):
         raise ValueError(f"{path}: transform log needs low > 0, got {np.min(low):g}")
-    if transform == ordered and (before.ndim != 1 or np.any(np.diff(before) <= 0)):
-        raise ValueError(f"{path}: transform ordered needs a list of increasing values")
     finite = np.all(np.isfinite(low) & np.isfinite(high))
     if transform != linear and not finite:
         raise ValueError(f"{path}: transform {transform.name} needs low and high")

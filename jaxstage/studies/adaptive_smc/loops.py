@@ -270,7 +270,7 @@ BOXES = (
     Box(path="reaching.dead_zone", low=1e-6, high=1e-2, reason="chosen: below and above |s|"),
     Box(path="reaching.rate", low=1e3, high=1e13, reason="chosen: still to faster than the motion"),
     Box(path="reaching.cap", low=80.0, high=390.0, reason=_SAMPLED),
-    Box(path="switching_gain", low=1e-5, high=1.0, reason="chosen: below and above the friction"),
+    Box(path="switching_gain", low=1e-6, high=1.0, reason="chosen: below and above the friction"),
     Box(path="switch.width", low=1e-6, high=1e-2, reason="chosen: sharp to next to none"),
     Box(path="switch.layer", low=0.5, high=50.0, reason="chosen: dead-beat to next to none"),
 )
