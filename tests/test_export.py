@@ -189,7 +189,17 @@ def test_every_law_of_the_studies_is_c99(single, folders):
     files = every_law(folders[single], single)
     assert len(laws()) >= 27 and len(files) == 2 * len(laws())
     promoted = ["-Wdouble-promotion"] if single else []
-    run("gcc", *STRICT, *promoted, "-fsyntax-only", *files, cwd=folders[single])
+    for compiler in filter(shutil.which, ("gcc", "clang")):
+        run(compiler, *STRICT, *promoted, "-fsyntax-only", *files, cwd=folders[single])
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler here")
+def test_the_headers_can_be_used_from_c_plus_plus(folders):
+    every_law(folders[False], False)
+    headers = sorted(file.name for file in folders[False].glob("*.h"))
+    text = "".join(f'#include "{name}"\n' for name in headers)
+    strict = ("-std=c++11", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only")
+    run("g++", *strict, "-x", "c++", "-", cwd=folders[False], given=text.encode())
 
 
 def test_the_float_build_knows_no_double(folders):

@@ -189,9 +189,6 @@ def _fits(node: Node) -> bool:
 def _helper(node: Node, kind: str, single: bool) -> tuple[str, str]:
     """Name and text of the small function for an operation."""
     if node.op == "cast":
-        inner = node.args[0]
-        if inner.nan and not node.low <= 0 <= node.high:
-            raise ValueError("an index would leave its range if a measurement were NaN")
         least, most, above = _EDGES[kind_of(node)]
         whole = TYPES[kind_of(node)]
         head = f"{whole} to_{whole}(real a)"
