@@ -23,7 +23,13 @@ def configure(
     if cores is not None:
         if cores < 1:
             raise ValueError(f"cores = {cores}: must be >= 1")
-        jax.config.update("jax_num_cpu_devices", cores)
+        try:
+            jax.config.update("jax_num_cpu_devices", cores)
+        except RuntimeError:
+            raise RuntimeError(
+                f"cores = {cores}: JAX has already started with {jax.local_device_count()}; call "
+                "configure before the first array is made, in a new process"
+            ) from None
     jax.config.update("jax_enable_x64", precision == "double")
     if cache is None:
         return

@@ -124,6 +124,7 @@ def test_the_tick_knows_no_machine_and_no_law():
         ("dataclasses", "jaxstage.fields"),
         ("typer", "tuning"),
         ("rich", "tuning"),
+        ("jinja2", "tuning.reports"),
         ("tuning", "tuning"),
     ],
 )

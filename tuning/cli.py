@@ -9,11 +9,33 @@ from typing import Annotated, Any
 import typer
 from typer.exceptions import TyperException
 
+from tuning import completion
 from tuning.sweeps import cli as sweep_cli
 from tuning.tuner import cli as tune_cli
 
+#: exit status of a command that was stopped from the keyboard
+INTERRUPTED = 130
+#: what ``--help`` of each command ends with
+EXAMPLES = {
+    "list": "jaxstage list",
+    "run": "jaxstage run dfcmac-circle --set lap_time=1 --set laps=1 --out out",
+    "compare": "jaxstage compare fuzzy-cmac --out compared",
+    "precision": "jaxstage precision pi-circle",
+    "sweep": "jaxstage sweep pi-circle cascade-circle -n 64 --set lap_time=1 --set laps=1 "
+    '--spec "contour_max_um < 60 and finite" --target 0.5 --out swept',
+    "replay": "jaxstage replay swept --worst 1",
+    "tune": "jaxstage tune pi-circle --budget 20 --out tuned",
+    "export": "jaxstage export pi-circle --precision single --out c",
+    "report": "jaxstage report swept",
+    "doctor": "jaxstage doctor",
+}
+
+
+def _example(command: str) -> str:
+    return f"Example: {EXAMPLES[command]}"
+
+
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -26,14 +48,18 @@ def main() -> None:
     # XLA logs an error for every cached program, over tuning flags that no machine lists
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     try:
-        sys.exit(app(standalone_mode=False))
+        status = app(standalone_mode=False, prog_name="jaxstage")
     except TyperException as error:
         message = error.format_message() if hasattr(error, "format_message") else str(error)
         _fail(message)
     except (KeyboardInterrupt, typer.Abort):
-        sys.exit(130)
+        status = INTERRUPTED
     except (ValueError, OSError) as error:
         _fail(str(error))
+    if status == INTERRUPTED:
+        said = "interrupted; every file is whole or absent, and a sweep goes on with --resume"
+        print(f"jaxstage: {said}", file=sys.stderr)
+    sys.exit(status)
 
 
 def _fail(message: str) -> None:
@@ -50,9 +76,9 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
         raise typer.Exit()
 
 
-@app.command("list")
+@app.command("list", epilog=_example("list"))
 def list_loops() -> None:
-    """The published systems and your own: loops, references, claims with their verdicts."""
+    """Loops, references and verdicts of all systems, yours too."""
     from rich.console import Console
     from rich.table import Table
 
@@ -74,9 +100,14 @@ def list_loops() -> None:
         console.print(table)
 
 
-@app.command()
+@app.command(epilog=_example("run"))
 def run(
-    loop: Annotated[str, typer.Argument(help="A loop of `jaxstage list`, e.g. dfcmac-circle.")],
+    loop: Annotated[
+        str,
+        typer.Argument(
+            help="A loop of `jaxstage list`, e.g. dfcmac-circle.", autocompletion=completion.loops
+        ),
+    ],
     set_: Annotated[
         list[str] | None,
         typer.Option(
@@ -115,9 +146,14 @@ def run(
     _print_result(prepared.entry.summary, result, as_json, out)
 
 
-@app.command()
+@app.command(epilog=_example("compare"))
 def compare(
-    study: Annotated[str, typer.Argument(help="A study of `jaxstage list`, e.g. fuzzy-cmac.")],
+    study: Annotated[
+        str,
+        typer.Argument(
+            help="A study of `jaxstage list`, e.g. fuzzy-cmac.", autocompletion=completion.studies
+        ),
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     out: Annotated[
         Path | None, typer.Option(help="Folder for claims.png, the figures, compare.json.")
@@ -130,7 +166,7 @@ def compare(
         typer.Option(metavar="LOOP=FILE", help="A loop with these gains, too. Repeatable."),
     ] = None,
 ) -> None:
-    """What a paper claims, what this simulation gives, and a computed verdict on each claim."""
+    """A paper's claims, each with a computed verdict."""
     from jaxstage.runtime import configure, cpu_cores
 
     configure(precision="double", cores=cpu_cores(), cache="default")
@@ -159,14 +195,14 @@ def compare(
             print(f"{', '.join(file.name for file in files)}, compare.json: {out}/")
 
 
-@app.command()
+@app.command(epilog=_example("report"))
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a run, a comparison or a sweep.")],
     out: Annotated[
         Path | None, typer.Option(help="File to write; report.html in the folder if left out.")
     ] = None,
 ) -> None:
-    """One self-contained HTML file of what a command left in a folder: verdict first."""
+    """One self-contained HTML file of a folder of results."""
     from tuning.reports import kinds
 
     file = out or folder / "report.html"
@@ -176,12 +212,12 @@ def report(
     print(file)
 
 
-@app.command()
+@app.command(epilog=_example("doctor"))
 def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     precision: Annotated[str, typer.Option(help="double or single.")] = "double",
 ) -> None:
-    """What this machine gives: devices, cores, precision, cache, a one-second speed test."""
+    """What this machine gives, and a one-second speed test."""
     from jaxstage.runtime import configure, cpu_cores
 
     configure(precision=precision, cores=cpu_cores(), cache="default")
@@ -196,13 +232,14 @@ def doctor(
         print(f"{name:18s}{', '.join(value) if isinstance(value, list) else text}")
 
 
-@app.command()
+@app.command(epilog=_example("precision"))
 def precision(
     loops: Annotated[
-        list[str] | None, typer.Argument(help="Loops to compare; all if left out.")
+        list[str] | None,
+        typer.Argument(help="Loops to compare; all if left out.", autocompletion=completion.loops),
     ] = None,
 ) -> None:
-    """Single against double precision: relative difference of the headline figures, as TOML."""
+    """How far single precision moves the figures, as TOML."""
     import tomli_w
 
     from jaxstage.runtime import configure
@@ -217,7 +254,7 @@ def precision(
         print(tomli_w.dumps({name: table}), flush=True)
 
 
-@app.command()
+@app.command(epilog=_example("export"))
 def export(
     loop: Annotated[str, typer.Argument(help="A loop of `jaxstage list`, e.g. dfcmac-circle.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the C files; a new one.")] = None,
@@ -259,9 +296,9 @@ def export(
     print(f"{', '.join(made['files'])}: {out}/  (make check there replays {made['ticks']} ticks)")
 
 
-app.command()(tune_cli.tune)
-app.command()(sweep_cli.sweep)
-app.command()(sweep_cli.replay)
+app.command(epilog=_example("tune"))(tune_cli.tune)
+app.command(epilog=_example("sweep"))(sweep_cli.sweep)
+app.command(epilog=_example("replay"))(sweep_cli.replay)
 
 
 def _print_result(title: str, result: dict[str, Any], as_json: bool, out: Path | None) -> None:

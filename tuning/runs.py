@@ -144,7 +144,8 @@ def _numbers(name: str, text: str) -> list[float]:
         return [float(item) for item in text.split(",")]
     except ValueError:
         raise ValueError(
-            f"--set {name}={text}: must be a number, or one number per axis split by commas"
+            f"--set {name}={text}: must be a number, or one number per axis split by commas; "
+            f"units are not written, this one is {'mm/min' if name == 'feed' else 'SI'}"
         ) from None
 
 

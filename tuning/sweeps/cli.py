@@ -1,7 +1,6 @@
 """``jaxstage sweep`` and ``jaxstage replay``."""
 
 import json
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -10,6 +9,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from tuning import completion
 
 #: what a configuration holds: not to be given again where a stored one is taken
 _STORED = {
@@ -22,7 +23,10 @@ def sweep(
     context: typer.Context,
     loops: Annotated[
         list[str] | None,
-        typer.Argument(help="Loops of `jaxstage list`, each on the same plants."),
+        typer.Argument(
+            help="Loops of `jaxstage list`, each on the same plants.",
+            autocompletion=completion.loops,
+        ),
     ] = None,
     runs: Annotated[int, typer.Option("-n", "--runs", help="Plants to draw.")] = 1024,
     design: Annotated[
@@ -73,7 +77,7 @@ def sweep(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Monte-Carlo robustness: many plants, one row a run, yield with its interval."""
+    """Monte-Carlo robustness: the yield over many plants."""
     from jaxstage.runtime import configure, cpu_cores
     from tuning import runs as single_runs
     from tuning.sweeps import configuration, store
@@ -165,9 +169,6 @@ def _simulate(
     try:
         with bar(metric, total) as watch:
             runs = run_sweep(plan.text, out, executor, watch, cores if executor else None)
-    except KeyboardInterrupt:
-        print("jaxstage: stopped; finished chunks are kept, --resume goes on", file=sys.stderr)
-        raise
     except OSError as error:
         raise OSError(f"{error}; finished chunks are kept, --resume goes on") from None
     return {"simulated": runs, "seconds": time.perf_counter() - begin}
@@ -200,7 +201,7 @@ def replay(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Draw plants of a sweep again, simulate them, and compare with their rows."""
+    """Plants of a sweep again, held against their rows."""
     from jaxstage.runtime import configure
     from tuning import runs
     from tuning.sweeps import configuration, replays, store
