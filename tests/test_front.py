@@ -108,6 +108,10 @@ def test_precision(command, place, monkeypatch):
     assert "[pi-circle]" in example(command, "precision", place, monkeypatch).out
 
 
+def test_export(command, place, monkeypatch):
+    assert "make check" in example(command, "export", place, monkeypatch).out
+
+
 def test_run_and_its_report(command, place, monkeypatch):
     example(command, "run", place, monkeypatch, **LAP)
     answer = command("report", "out")

@@ -273,7 +273,7 @@ def export(
     ] = None,
     prefix: Annotated[str, typer.Option(help="Begins every name in C.")] = "control",
 ) -> None:
-    """The controller as C99 for a drive, with recorded ticks to check it by."""
+    """The controller as C99, with recorded ticks to check it."""
     from jaxstage.runtime import configure
     from tuning import runs
 

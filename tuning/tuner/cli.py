@@ -68,7 +68,7 @@ def tune(
     seed: Annotated[int, typer.Option(help="Of the plants and of the search.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Find better gains by gradients, and prove them on plants that the search never saw."""
+    """Better gains by gradients, proven on plants not seen."""
     from jaxstage.runtime import configure, cpu_cores
     from tuning import runs
     from tuning.tuner.baselines import parse_methods
