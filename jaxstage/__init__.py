@@ -14,7 +14,7 @@ metrics      online figures, windows, recording  studies      published systems,
 rollout      simulate, replay                    batch        rollouts: many runs at once
 gradients    derivatives, and a check of them    settings     names, TOML files
 stability    eigenvalues of one tick             runtime      precision, devices, cache
-plot         pictures (imports matplotlib)
+plot         pictures (imports matplotlib)      testing      the contract of a law, as checks
 """
 
 __version__ = "0.1.0"
