@@ -32,7 +32,7 @@ LAYERS = (
     ("check", "tick"),
     ("engine",),
     ("rollout",),
-    ("tiles", "gradients", "stability"),
+    ("tiles", "gradients", "stability", "explain"),
     ("batch",),
     ("studies",),
     ("plot",),
