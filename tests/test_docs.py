@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from commanding import command as command
+from commanding import few_figures as few_figures
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -28,7 +29,7 @@ def files(page):
 
 
 @pytest.fixture
-def folder(command, monkeypatch):
+def folder(command, few_figures, monkeypatch):
     """An empty folder in which files of a page can import each other, forgotten afterwards."""
     monkeypatch.syspath_prepend(os.getcwd())
     monkeypatch.setattr(

@@ -11,6 +11,7 @@ import jax
 import pytest
 import typer
 from commanding import command as command
+from commanding import few_figures as few_figures
 from test_studies import small_study
 
 import jaxstage as js
@@ -108,7 +109,7 @@ def test_precision(command, place, monkeypatch):
     assert "[pi-circle]" in example(command, "precision", place, monkeypatch).out
 
 
-def test_run_and_its_report(command, place, monkeypatch):
+def test_run_and_its_report(command, few_figures, place, monkeypatch):
     example(command, "run", place, monkeypatch, **LAP)
     answer = command("report", "out")
     assert answer.status == 0 and answer.out.strip() == "out/report.html"
@@ -124,7 +125,7 @@ def test_run_and_its_report(command, place, monkeypatch):
     assert shown[shown.index("seed") + 1] == "0"
 
 
-def test_sweep_replay_and_their_report(command, place, monkeypatch):
+def test_sweep_replay_and_their_report(command, few_figures, place, monkeypatch):
     example(command, "sweep", place, monkeypatch, **LAP, **{"64": "8"})
     assert "identical to its row" in example(command, "replay", place, monkeypatch).out
     example(command, "report", place, monkeypatch)
