@@ -35,7 +35,6 @@ def strict_json(text):
     return json.loads(text, parse_constant=refuse)
 
 
-@pytest.fixture
 def few_figures(monkeypatch):
     """Loops of the biaxial table report little, so that they compile in a third of the time."""
     monkeypatch.setitem(vars(LOOPS), "standard", lambda surface: FEW)

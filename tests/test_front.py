@@ -11,7 +11,7 @@ import jax
 import pytest
 import typer
 from commanding import command as command
-from commanding import few_figures as few_figures
+from commanding import few_figures
 from test_studies import small_study
 
 import jaxstage as js
@@ -73,6 +73,8 @@ def place(tmp_path_factory):
 
 def example(call, name, place, monkeypatch, **smaller):
     """Run the example of a command's help. smaller: words that make it shorter."""
+    if name in ("run", "sweep", "replay"):
+        few_figures(monkeypatch)
     monkeypatch.chdir(place)
     shown = call(name, "--help").out
     text = " ".join(shown[shown.index("Example: ") :].removeprefix("Example: ").split())
@@ -109,7 +111,7 @@ def test_precision(command, place, monkeypatch):
     assert "[pi-circle]" in example(command, "precision", place, monkeypatch).out
 
 
-def test_run_and_its_report(command, few_figures, place, monkeypatch):
+def test_run_and_its_report(command, place, monkeypatch):
     example(command, "run", place, monkeypatch, **LAP)
     answer = command("report", "out")
     assert answer.status == 0 and answer.out.strip() == "out/report.html"
@@ -125,7 +127,7 @@ def test_run_and_its_report(command, few_figures, place, monkeypatch):
     assert shown[shown.index("seed") + 1] == "0"
 
 
-def test_sweep_replay_and_their_report(command, few_figures, place, monkeypatch):
+def test_sweep_replay_and_their_report(command, place, monkeypatch):
     example(command, "sweep", place, monkeypatch, **LAP, **{"64": "8"})
     assert "identical to its row" in example(command, "replay", place, monkeypatch).out
     example(command, "report", place, monkeypatch)
