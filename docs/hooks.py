@@ -167,30 +167,39 @@ def _fields(cls: type) -> str:
     return head + "\n\n" + _table(("field", "symbol", "unit", "shape", "allowed", "meaning"), rows)
 
 
+#: loops whose reports together hold every figure
+REPORTING = ("dfcmac-circle", "asmc-s1", "asmc-mrac", "af-pid-ccc")
+
+
 def figures() -> str:
     """Every figure that a report of the library may hold: its column, and what it is."""
-    from jaxstage.fields import DISPLAY
     from jaxstage.metrics.table import key
 
     rows = {}
-    for name in _modules("jaxstage.metrics"):
-        for cls in _classes(name):
-            for field in dataclasses.fields(cls):
-                q = field.metadata.get("quantity")
-                if q is None or q.role != "signal" or cls.__name__.startswith(("Moments",)):
-                    continue
-                shown = q.shown if q.shown in DISPLAY else q.unit
-                each = "per axis" if "axes" in q.shape else ""
-                rows[key(field.name, shown)] = (each, f"{_summary(cls)} {_capital(q.doc)}.")
+    for cls in {cls for loop in REPORTING for cls in _reports(loop)}:
+        for field in dataclasses.fields(cls):
+            q = field.metadata["quantity"]
+            each = "per axis" if "axes" in q.shape else ""
+            rows[key(field.name, q.shown)] = (each, f"{_summary(cls)} {_capital(q.doc)}.")
     table = [(f"`{name}`", *row) for name, row in sorted(rows.items())]
     return _table(("column", "", "what it is"), table)
 
 
-def _modules(package: str) -> list[str]:
-    import pkgutil
+def _reports(name: str) -> Iterable[type]:
+    """The classes in the report of a loop, those of its recorded figures too. Nothing is run."""
+    import jax
 
-    found = importlib.import_module(package)
-    return [f"{package}.{m.name}" for m in pkgutil.iter_modules(found.__path__)]
+    from jaxstage import find, together, with_metric
+
+    entry = find(name)
+    case = entry.build(entry.timing)
+    stored = [recorded.metric for recorded in entry.recorded]
+    run = jax.eval_shape(with_metric(case, together(case.metric, *stored)).simulate)
+    found = [run.report] + [
+        jax.eval_shape(lambda rows, r=r: r.figures(rows, case.loop.dt), run.rows[r.metric.name])
+        for r in entry.recorded
+    ]
+    return [type(x) for x in jax.tree.leaves(found, is_leaf=dataclasses.is_dataclass)]
 
 
 def _summary(cls: type) -> str:
@@ -253,7 +262,9 @@ def _cell(text: str) -> str:
         return text.replace("|", "\\|")
     kept = re.split(r"(`[^`]+`)", text)
     return "".join(
-        part if part.startswith("`") else re.sub(r"([\\*_<>|\[\]$])", r"\\\1", part)
+        part
+        if part.startswith("`")
+        else re.sub(r"([\\*_|\[\]$])", r"\\\1", html.escape(part, quote=False))
         for part in kept
     )
 

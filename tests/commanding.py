@@ -1,12 +1,17 @@
 """Calling the command line in this process, which has already started JAX."""
 
+import importlib
 import json
 import sys
 from typing import NamedTuple
 
 import pytest
 
+from jaxstage.metrics import contour, following, together, tracking
 from tuning import cli
+
+LOOPS = importlib.import_module("jaxstage.studies.fuzzy_cmac.loops")
+FEW = together(tracking, contour, following)
 
 
 class Answer(NamedTuple):
@@ -28,6 +33,11 @@ def strict_json(text):
         raise AssertionError(f"{word} is no JSON")
 
     return json.loads(text, parse_constant=refuse)
+
+
+def few_figures(monkeypatch):
+    """Loops of the biaxial table report little, so that they compile in a third of the time."""
+    monkeypatch.setitem(vars(LOOPS), "standard", lambda surface: FEW)
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from commanding import command as command
+from commanding import few_figures
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -30,6 +31,7 @@ def files(page):
 @pytest.fixture
 def folder(command, monkeypatch):
     """An empty folder in which files of a page can import each other, forgotten afterwards."""
+    few_figures(monkeypatch)
     monkeypatch.syspath_prepend(os.getcwd())
     monkeypatch.setattr(
         "tuning.sweeps.pictures.pictures", lambda found, folder: []

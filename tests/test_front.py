@@ -11,6 +11,7 @@ import jax
 import pytest
 import typer
 from commanding import command as command
+from commanding import few_figures
 from test_studies import small_study
 
 import jaxstage as js
@@ -72,6 +73,8 @@ def place(tmp_path_factory):
 
 def example(call, name, place, monkeypatch, **smaller):
     """Run the example of a command's help. smaller: words that make it shorter."""
+    if name in ("run", "sweep", "replay"):
+        few_figures(monkeypatch)
     monkeypatch.chdir(place)
     shown = call(name, "--help").out
     text = " ".join(shown[shown.index("Example: ") :].removeprefix("Example: ").split())
