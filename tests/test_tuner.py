@@ -18,10 +18,11 @@ from tuning.tuner.gradient_check import gradient_check, judged
 from tuning.tuner.groups import make_group
 from tuning.tuner.lbfgs import lbfgs
 from tuning.tuner.levenberg_marquardt import levenberg_marquardt
+from tuning.tuner.method import Method
 from tuning.tuner.objective import LOST, Term, cvar, mean, parse_goals, worst
 from tuning.tuner.prices import Prices
 from tuning.tuner.problem import curvatures, evaluate, make_problem, slopes, with_weights
-from tuning.tuner.random_search import random_search
+from tuning.tuner.random_search import RandomState, random_search
 from tuning.tuner.space import Search, search_space
 from tuning.tuner.tune import tune
 
@@ -232,6 +233,26 @@ def test_the_method_is_chosen_by_size_and_check():
     found = tuned(None, budget=40.0)
     assert found.method == "lm" and found.check is not None and found.check.ok
     assert found.after < 0.97
+
+
+def test_a_start_that_falls_behind_is_given_up():
+    """What it would have cost goes to the others."""
+    asked = []
+
+    def begin(oracle, starts, seed):
+        oracle.values(starts, np.arange(2))
+        worse, none = np.array([1.0, 2.0]), np.full(2, np.nan)
+        return RandomState(starts, seed, 0, starts, worse, none, np.zeros(2, bool))
+
+    def step(oracle, state):
+        active = np.flatnonzero(~state.done)
+        asked.append(active.tolist())
+        oracle.values(state.z[active] + 0.01 * len(asked), active)
+        return state
+
+    both = np.stack([searched().start(), Z])
+    found = tuned(Method(name="idle", needs="", begin=begin, step=step), starts=both, budget=12.0)
+    assert asked == [[0, 1]] * 2 + [[0]] * 6 and found.units == 12
 
 
 def test_a_stopped_tuning_ends_the_same(tmp_path):
