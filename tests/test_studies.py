@@ -218,7 +218,8 @@ def small_study(x):
     """Two claims on one figure x, and one that cannot be checked."""
     return Study(
         name="fuzzy-cmac", title="A small study", source="nowhere", loops=(), references=("r",),
-        spreads=(), boxes=(), experiments=(Experiment(name="e", text="it", measure=lambda: with_figure(x)),),
+        spreads=(), boxes=(),
+        experiments=(Experiment(name="e", text="it", measure=lambda: with_figure(x)),),
         claims=(
             a_claim(within(0.1)),
             replace(a_claim(at_most(1.0), published=None), id="two"),

@@ -32,6 +32,8 @@ ROWS = (
     Row("sigma", "dfcmac-circle", ("--gains", "sigma")),
     Row("eta", "dfcmac-circle", ("--gains", "eta")),
     Row("all of it", "dfcmac-circle", ()),
+    Row("all of it", "cmac-circle", ()),
+    Row("all of it", "pi-circle", ()),
     Row("cascade", "cascade-circle", ()),
     Row("kappa", "smc-s7-implicit", ("--gains", "kappa")),
     Row("lambda", "smc-s7-implicit", ("--gains", "lam")),
@@ -40,6 +42,9 @@ ROWS = (
     Row("rules", "af-pid-ccc", ("--gains", "rules")),
     Row("all but rules", "pid-ccc", ()),
     Row("all of it", "af-pid-ccc", ()),
+    Row("all of it", "pd", ()),
+    Row("all of it", "asmc-mrac-caps", ()),
+    Row("cascade", "cascade", ()),
 )
 
 
@@ -66,7 +71,8 @@ def cells(row: Row, found: dict[str, Any]) -> list[str]:
     before, after = (f"{held[name]['value']:.4g}" for name in ("before", "after"))
     return [
         row.name, row.loop, found["method"], str(found["n"]), f"{found['units']:.0f}",
-        f"{found['seconds']:.0f}", before, after, told, f"{saved:+.2f}" if energy else "", str(held["lost"]),
+        f"{found['seconds']:.0f}", before, after, told,
+        f"{saved:+.2f}" if energy else "", str(held["lost"]),
         "yes" if found["accepted"] else "no",
     ]  # fmt: skip
 

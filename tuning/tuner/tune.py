@@ -30,6 +30,8 @@ from tuning.tuner.random_search import random_search
 FEW = 30
 #: points of the Sobol sequence that starts are picked from, and their standard deviation in z
 AMONG, SPREAD = 16, 1.0
+#: once this share of the budget is spent, a start so many times worse than the best is given up
+TRIED, BEHIND = 1 / 3, 1.5
 #: the weight of missed goals grows by this factor, to this at most, while a search ends at a miss
 HARDER, HARDEST = 10.0, 1e7
 
@@ -292,6 +294,8 @@ def _search(
             again = np.stack([ledger.best[row].z for row in range(len(begun))])
             state = method.begin(_oracle(ledger, problem), again, seed)
             continue
+        if ledger.units > TRIED * budget and len(problem.weights) == 1:
+            state = state._replace(done=state.done | (state.value > BEHIND * np.min(state.value)))
         state = method.step(_oracle(ledger, problem), state)
 
 
