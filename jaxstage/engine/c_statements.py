@@ -3,7 +3,7 @@
 A node that is used more than once gets a local constant, any other stands in the expression that
 uses it; a maximum inside a minimum is one call. A store is issued as soon as nothing still reads
 what it overwrites, so that few locals live at a time. Elements that an index selects for the same
-value are one indexed store; elements in a row that are copied, or set to one constant, are a loop.
+value are one indexed store; elements of an array, or terms of a sum, that have one form are a loop.
 """
 
 import textwrap
@@ -68,17 +68,24 @@ def statements(results: Sequence[Result], places: Places, single: bool) -> State
     stores = stores_of(results, places, uses)
     overwritten = frozenset[str]().union(*(store.touches for store in stores))
     summed = sums(nodes, uses)
-    roots = [node for store in stores for node in store.needs]
-    forms = [store.form for store in stores if store.form is not None]
-    kept = Counter(node.id for store in stores if store.form is None for node in store.needs)
-    seen = _ordered(roots, summed)
-    kept.update(arg.id for node in seen if node.id not in summed for arg in node.args)
-    forms += [summed[node.id] for node in seen if node.id in summed]
-    kept.update(2 * [node.id for form in forms for node in form.same])
-    kept.update(node.id for nodes in {n for form in forms for n in form.others} for node in nodes)
-    writing = _Writing(places, single, overwritten, kept, summed, {}, {}, [], {}, {})
+    written = _times_written(stores, summed)
+    writing = _Writing(places, single, overwritten, written, summed, {}, {}, [], {}, {})
     lines = [_stored(writing, store) for store in stores]
     return Statements(tuple(_scheduled(writing.named, lines)), writing.helpers)
+
+
+def _times_written(stores: Sequence[Store], summed: dict[int, Pattern]) -> Counter[int]:
+    """How often each node stands in the text: one that all rounds of a loop share counts twice, so
+    that it gets a name; one that a local array holds counts once for the array."""
+    seen = _ordered((node for store in stores for node in store.needs), summed)
+    forms = [store.form for store in stores if store.form is not None]
+    forms += [summed[node.id] for node in seen if node.id in summed]
+    arrays = {nodes for form in forms for nodes in form.others}
+    times = Counter(node.id for store in stores if store.form is None for node in store.needs)
+    times.update(arg.id for node in seen if node.id not in summed for arg in node.args)
+    times.update(2 * [node.id for form in forms for node in form.same])
+    times.update(node.id for nodes in arrays for node in nodes)
+    return times
 
 
 def _ordered(
