@@ -103,8 +103,9 @@ def _refusal(
     found: list[str | None] = []
 
     def trace(leaves: list[Array]) -> None:
-        inputs = jax.tree.unflatten(structure, leaves)
-        program, numbers = compiled_form(loop, *inputs, start(loop, *inputs))
+        gains, scenario, path = jax.tree.unflatten(structure, leaves)
+        begin = start(loop, gains, scenario, path)
+        program, numbers = compiled_form(loop, gains, scenario, path, begin)
         flags = (*batched, *(False,) * (len(numbers) - len(batched)))
         found.append(refusal(program, flags))
 

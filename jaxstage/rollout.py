@@ -54,15 +54,14 @@ def whole_run(
     loop: Loop, ticks: int, gains: Any, scenario: Scenario, path: Any, carry: Carry | None = None
 ) -> Run:
     """`simulate` without its checks."""
-    carry = start(loop, gains, scenario, path) if carry is None else carry
-    carry = _sound(carry)
+    begin = _sound(start(loop, gains, scenario, path) if carry is None else carry)
     if ticks < loop.engine.shortest:
-        carry, rows = scan_ticks(
-            loop, ticks, lambda c: advance(loop, gains, scenario, path, c), carry
+        final, rows = scan_ticks(
+            loop, ticks, lambda c: advance(loop, gains, scenario, path, c), begin
         )
     else:
-        carry, rows = rollout(*compiled_form(loop, gains, scenario, path, carry), ticks)
-    return Run(report=report(loop, carry), rows=rows, final=carry)
+        final, rows = rollout(*compiled_form(loop, gains, scenario, path, begin), ticks)
+    return Run(report=report(loop, final), rows=rows, final=final)
 
 
 def compiled_form(
@@ -76,7 +75,8 @@ def compiled_form(
 
 
 def _advance(loop: Loop, inputs: Any, path: Any, carry: Carry) -> tuple[Carry, Any]:
-    return advance(loop, *inputs, path, carry)
+    gains, scenario = inputs
+    return advance(loop, gains, scenario, path, carry)
 
 
 def _sound(carry: Carry) -> Carry:

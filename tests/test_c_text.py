@@ -1,6 +1,7 @@
 """C text of single operations and of what is written where, against JAX."""
 
 import itertools
+import re
 import shutil
 
 import jax
@@ -129,11 +130,14 @@ class Hazards:
 
     first: jax.Array = signal("1", "", "becomes the second")
     second: jax.Array = signal("1", "", "becomes the first")
-    queue: jax.Array = signal("1", "", "last values, newest first", shape="(6,)")
-    before: jax.Array = signal("1", "", "the queue before", shape="(6,)")
+    queue: jax.Array = signal("1", "", "last values, newest first", shape="(9,)")
+    before: jax.Array = signal("1", "", "the queue before", shape="(9,)")
     ring: jax.Array = signal("1", "", "last values, by number", shape="(8,)")
     weights: jax.Array = signal("1", "", "sums by cell", shape="(3, 4)")
     marks: jax.Array = signal("1", "", "values of the first ticks of a round", shape="(4,)")
+    tail: jax.Array = signal("1", "", "forgets by half", shape="(9,)")
+    total: jax.Array = signal("1", "", "sum of the tail before")
+    log: jax.Array = signal("1", "", "measured values, by number", shape="(8,)")
     constant: jax.Array = signal("1", "", "as at the start", shape="(5,)")
     at: jax.Array = signal("1", "", "number of the newest")
     odd: jax.Array = signal("1", "", "whether it is odd")
@@ -145,9 +149,10 @@ def hazardous():
     def init(gains, setpoint, seen):
         zero = jnp.zeros_like(setpoint.position[0])
         return Hazards(
-            first=zero + 1, second=setpoint.position[0], queue=jnp.stack([zero] * 6),
-            before=jnp.stack([zero + 2] * 6), ring=jnp.stack([zero] * 8),
+            first=zero + 1, second=setpoint.position[0], queue=jnp.stack([zero] * 9),
+            before=jnp.stack([zero + 2] * 9), ring=jnp.stack([zero] * 8),
             weights=jnp.stack([jnp.stack([zero] * 4)] * 3), marks=jnp.stack([zero] * 4),
+            tail=jnp.stack([zero + 1] * 9), total=zero, log=jnp.stack([zero] * 8),
             constant=jnp.stack([zero + 3] * 5), at=jnp.zeros((), I32), odd=jnp.zeros((), bool),
         )  # fmt: skip
 
@@ -162,13 +167,15 @@ def hazardous():
             memory, first=memory.second, second=memory.first + x,
             queue=jnp.concatenate([x[None], memory.queue[:-1]]), before=memory.queue, ring=ring,
             weights=weights, marks=jnp.where(memory.at == jnp.arange(4), x, memory.marks),
-            at=jnp.where(memory.at >= 7, 0, memory.at + 1), odd=~memory.odd,
+            tail=0.5 * memory.tail + memory.first, total=jnp.sum(memory.tail),
+            log=memory.log.at[7 - at].set(y), odd=~memory.odd,
+            at=jnp.where(memory.at >= 7, 0, memory.at + 1),
         )  # fmt: skip
         demand = jnp.stack([
             kept.first, kept.second, ring[7 - at] + memory.ring[at], jnp.sum(memory.before),
             memory.weights[row, column], jnp.sum(weights[row]), memory.at.astype(x.dtype),
             jnp.where(memory.odd, x, y), memory.constant[0], jnp.sum(kept.queue),
-            memory.marks[0] - memory.marks[3],
+            memory.marks[0] - memory.marks[3], memory.total, memory.log[2],
         ])  # fmt: skip
         return demand, kept
 
@@ -183,7 +190,7 @@ def hazardous():
 
 
 def test_memory_is_written_when_nothing_reads_it_any_more(tmp_path):
-    law, periods, axes = hazardous(), 60, 11
+    law, periods, axes = hazardous(), 60, 13
     rng = np.random.default_rng(5)
     first, second = (np.repeat(rng.uniform(-1, 5, (periods, 1)), axes, axis=1) for _ in range(2))
     first[7], second[9], first[11] = np.nan, np.nan, 1e20  # an index of NaN is 0
@@ -201,8 +208,10 @@ def test_memory_is_written_when_nothing_reads_it_any_more(tmp_path):
     found, _ = drive(law, (), setpoint, seen, command, 1e-3, tmp_path)
     np.testing.assert_allclose(found, np.array(demands), rtol=1e-13)
     text = (tmp_path / "control.c").read_text()
-    assert "memory->ring[n" in text and "for (int32_t i = 0; i < 6; i++)" in text
-    assert max(map(len, text.splitlines())) <= 110
+    assert re.search(r"memory->log\[n\d+\] = ", text) and "for (int32_t i = 0; i < 8; i++)" in text
+    assert re.search(r"i < 9; i\+\+\)\n +sum\d+ \+= memory->before\[i\];", text)
+    assert re.search(r"i < 9; i\+\+\)\n +memory->queue\[i\] = memory->queue\[i\] \+ x\d+;", text)
+    assert max(map(len, text.splitlines())) <= 100
 
 
 def test_what_has_no_c_text_is_refused_with_its_reason():

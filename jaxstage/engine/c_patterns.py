@@ -62,14 +62,18 @@ def pattern(nodes: Sequence[Node], uses: Counter[int]) -> Pattern | None:
             rows.append(first.value)
             return leaf(together, first.value)
         if _of_one_operation(together) and all(uses[node.id] == 1 for node in together):
-            args = tuple(form(tuple(part)) for part in zip(*(n.args for n in together), strict=True))
+            args = tuple(
+                form(tuple(part)) for part in zip(*(n.args for n in together), strict=True)
+            )
             return _joined(together, first.op, args, None, -len(found) - 1, first.kind)
         others.append(together)
         return leaf(together, (OTHERS, len(others) - 1))
 
     whole = form(tuple(nodes))
-    if len(nodes) < LOOPED or (others and whole.value == (OTHERS, 0)):
-        return None
+    operations = sum(node.id < 0 and bool(node.args) for node in found.values())
+    mixed = any(len({node.kind for node in together}) > 1 for together in others)
+    if mixed or (others and operations <= len(others)):
+        return None  # nothing gained
     return Pattern(whole, len(nodes), tuple(same), tuple(others), tuple(rows))
 
 

@@ -4,7 +4,8 @@ import textwrap
 from typing import Any, NamedTuple
 
 from jaxstage.engine.c_controller import STRUCTS, Function, Law, elements, read
-from jaxstage.engine.c_statements import Places, Result, statements
+from jaxstage.engine.c_statements import statements
+from jaxstage.engine.c_stores import Places, Result
 from jaxstage.engine.c_structs import Member, declare, initialise
 from jaxstage.engine.c_text import number
 

@@ -3,13 +3,16 @@
 A node that is used more than once gets a local constant, any other stands in the expression that
 uses it; a maximum inside a minimum is one call. A store is issued as soon as nothing still reads
 what it overwrites, so that few locals live at a time. Elements that an index selects for the same
-value are one indexed store; elements in a row that are copied, or set to one constant, are a loop.
+value are one indexed store; elements of an array, or terms of a sum, that have one form are a loop.
 """
 
+import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from jaxstage.engine.c_patterns import OTHERS, Pattern, sums
+from jaxstage.engine.c_stores import Places, Result, Store, reach, stores_of
 from jaxstage.engine.c_text import (
     ADD,
     ATOM,
@@ -19,39 +22,15 @@ from jaxstage.engine.c_text import (
     clamped,
     constant,
     kind_of,
+    number,
     operation,
+    wrapped,
 )
 from jaxstage.engine.graph import Node
 from jaxstage.engine.scalar import ordered
 
 #: longest expression; parts of a longer one get names of their own
 LONGEST = 80
-
-#: as many elements in a row that are copied, or set to one constant, become a loop
-LOOPED = 5
-
-
-class Places(NamedTuple):
-    """The C text of inputs. element(leaf, index): one number; array(leaf): what can be indexed."""
-
-    element: Callable[[int, int], str]
-    array: Callable[[int], str]
-
-
-class Result(NamedTuple):
-    """A node and its place: the element ``number`` of an array, or a scalar where that is None.
-
-    old: leaf and number of the input that stands there, or None."""
-
-    array: str
-    number: int | None
-    node: Node
-    old: tuple[int, int] | None = None
-
-    @property
-    def place(self) -> str:
-        """The left side of an assignment."""
-        return self.array if self.number is None else f"{self.array}[{self.number}]"
 
 
 class Statements(NamedTuple):
@@ -61,163 +40,137 @@ class Statements(NamedTuple):
     helpers: dict[str, str]
 
 
-class _Store(NamedTuple):
-    """place: left side; touches: all that may be overwritten. With an index, the place is an array,
-    of which ``offset + index`` is meant. With a count, so many elements from ``offset`` on, which
-    get those of an input from the node's on, or its constant."""
-
-    place: str
-    node: Node
-    touches: frozenset[str]
-    offset: int = 0
-    index: Node | None = None
-    count: int = 0
-
-
 class _Writing(NamedTuple):
-    """What is known while the lines are written. uses: of each node; texts: of the nodes so far;
-    born: the number of local constants that each text needs; named: the lines of these, and what
-    each reads."""
+    """What is known while the lines are written. uses: of each node; sums: those that are loops;
+    texts: of the nodes so far; born: the number of local constants that each text needs; named: the
+    lines of these, and what each reads; arrays: names of local arrays; mark: part of a local name.
+    """
 
     places: Places
     single: bool
+    overwritten: frozenset[str]
     uses: Counter[int]
+    sums: dict[int, Pattern]
     texts: dict[int, Text]
     born: dict[int, int]
     named: list[tuple[str, frozenset[str]]]
+    arrays: dict[tuple[int, ...], str]
     helpers: dict[str, str]
+    mark: str = ""
 
 
 def statements(results: Sequence[Result], places: Places, single: bool) -> Statements:
     """All results as statements. Raises ValueError for an operation that C99 does not have."""
-    stores = _stores(results, places)
-    roots = [s.node for s in stores] + [s.index for s in stores if s.index is not None]
-    uses = Counter(arg.id for node in ordered(roots) for arg in node.args)
-    uses.update(node.id for node in roots)
-    writing = _Writing(places, single, uses, {}, {}, [], {})
-    overwritten = frozenset[str]().union(*(s.touches for s in stores))
-    lines = [_stored(writing, store, overwritten) for store in stores]
+    results = [r for r in results if r.node.op != "in" or r.node.value != r.old]
+    nodes = ordered(result.node for result in results)
+    uses = Counter(arg.id for node in nodes for arg in node.args)
+    uses.update(result.node.id for result in results)
+    stores = stores_of(results, places, uses)
+    overwritten = frozenset[str]().union(*(store.touches for store in stores))
+    summed = sums(nodes, uses)
+    written = _times_written(stores, summed)
+    writing = _Writing(places, single, overwritten, written, summed, {}, {}, [], {}, {})
+    lines = [_stored(writing, store) for store in stores]
     return Statements(tuple(_scheduled(writing.named, lines)), writing.helpers)
 
 
-def _stored(
-    writing: _Writing, store: _Store, overwritten: frozenset[str]
-) -> tuple[int, frozenset[str], str]:
+def _times_written(stores: Sequence[Store], summed: dict[int, Pattern]) -> Counter[int]:
+    """How often each node stands in the text: one that all rounds of a loop share counts twice, so
+    that it gets a name; one that a local array holds counts once for the array."""
+    seen = _ordered((node for store in stores for node in store.needs), summed)
+    forms = [store.form for store in stores if store.form is not None]
+    forms += [summed[node.id] for node in seen if node.id in summed]
+    arrays = {nodes for form in forms for nodes in form.others}
+    times = Counter(node.id for store in stores if store.form is None for node in store.needs)
+    times.update(arg.id for node in seen if node.id not in summed for arg in node.args)
+    times.update(2 * [node.id for form in forms for node in form.same])
+    times.update(node.id for nodes in arrays for node in nodes)
+    return times
+
+
+def _ordered(
+    roots: Iterable[Node], summed: dict[int, Pattern], known: Iterable[int] = ()
+) -> list[Node]:
+    """All nodes that are written down, each after what it needs, depth first; without the known."""
+    seen = set(known)
+    found: list[Node] = []
+    for root in roots:
+        todo = [(root, False)]
+        while todo:
+            node, done = todo.pop()
+            if done:
+                found.append(node)
+            elif node.id not in seen:
+                seen.add(node.id)
+                needs = summed[node.id].needs if node.id in summed else node.args
+                todo.append((node, True))
+                todo += [(need, False) for need in reversed(needs)]
+    return found
+
+
+def _stored(writing: _Writing, store: Store) -> tuple[int, frozenset[str], str]:
     """The line of a store, and after how many local constants it may stand."""
+    if store.form is not None:
+        place = f"{store.place}[{_shifted(store.offset, Text('i'))}]"
+        text = _loop(writing, store.form, place, "=")
+        return len(writing.named), store.touches, text
     place, text = store.place, _text(writing, store.node)
-    if store.count:
-        return 0, store.touches, _loop(writing, store, text)
-    if text.reads & (overwritten - store.touches):
+    if text.reads & (writing.overwritten - store.touches):
         text = _name(writing, store.node)
     born = writing.born[store.node.id]
     if store.index is not None:
-        index = _text(writing, store.index)
-        index = _name(writing, store.index) if index.reads & overwritten else index
+        index = _known(writing, store.index)
         place = f"{place}[{_shifted(store.offset, index)}]"
         born = max(born, writing.born[store.index.id])
     return born, store.touches, _assigned(place, text.text)
 
 
-def _loop(writing: _Writing, store: _Store, text: Text) -> str:
-    """The loop for elements that are copied or constant."""
-    value = text.text
-    if store.node.op == "in":
-        leaf, first = store.node.value
-        value = f"{writing.places.array(leaf)}[{_shifted(first - store.offset, Text('i'))}]"
-    start = store.offset
-    head = f"    for (int32_t i = {start}; i < {start + store.count}; i++)"
-    return f"{head}\n        {store.place}[i] = {value};"
+def _known(writing: _Writing, node: Node) -> Text:
+    """An expression that stays what it is when something is stored."""
+    text = _text(writing, node)
+    return _name(writing, node) if text.reads & writing.overwritten else text
 
 
-def _stores(results: Sequence[Result], places: Places) -> list[_Store]:
-    """What has to be written, the elements of an indexed store together."""
-    groups: dict[tuple[int, int, int, int], list[int]] = {}
-    for result in results:
-        key = _selected(result)
-        if key is not None:
-            groups.setdefault(key[0], []).append(key[1])
-    results, stores = _without_runs(results, places)
-    done = set()
-    for result in results:
-        node = result.node
-        if node.op == "in" and node.value == result.old:
-            continue
-        key = _selected(result)
-        if key is None or not _covered(groups[key[0]], node.args[0].args[0]):
-            stores.append(_Store(result.place, node, frozenset({result.place})))
-        elif key[0] not in done:
-            done.add(key[0])
-            leaf, offset = key[0][:2]
-            index, value = node.args[0].args[0], node.args[1]
-            touches = frozenset(places.element(leaf, offset + k) for k in groups[key[0]])
-            stores.append(_Store(places.array(leaf), value, touches, offset, index))
-    return stores
+def _loop(writing: _Writing, form: Pattern, left: str, sign: str) -> str:
+    """The loop in which ``left`` gets the value of a form, or it is added to it."""
+    arrays = [_array(writing, nodes) for nodes in form.others]
+    same = {node.id: _known(writing, node) for node in form.same}
+
+    def element(leaf: int, index: int) -> str:
+        if leaf == OTHERS:
+            return f"{arrays[index]}[i]"
+        return f"{writing.places.array(leaf)}[{_shifted(index, Text('i'))}]"
+
+    uses = Counter(arg.id for node in ordered([form.form]) for arg in node.args)
+    inside = writing._replace(
+        places=Places(element, writing.places.array), uses=uses, sums={}, texts=same, born={},
+        named=[], mark="i",
+    )  # fmt: skip
+    value = _text(inside, form.form).text
+    body = [line for line, _ in inside.named] + [_assigned(left, value, sign)]
+    body = ["    " + line.replace("\n", "\n    ") for line in body]
+    head = f"    for (int32_t i = 0; i < {form.count}; i++)"
+    return "\n".join([f"{head} {{", *body, "    }"] if len(body) > 1 else [head, *body])
 
 
-def _without_runs(results: Sequence[Result], places: Places) -> tuple[list[Result], list[_Store]]:
-    """The results that stand alone, and the loops for those in a row.
-
-    What is copied must be written nowhere."""
-    written = {result.place for result in results}
-    runs: list[list[Result]] = []
-    for result in results:
-        node = result.node
-        simple = node.op == "const" or (
-            node.op == "in" and places.element(*node.value) not in written
-        )
-        if simple and runs and _goes_on(runs[-1][-1], result):
-            runs[-1].append(result)
-        else:
-            runs.append([result])
-    loops = [
-        _Store(
-            place=run[0].array, node=run[0].node, touches=frozenset(r.place for r in run),
-            offset=run[0].number or 0, count=len(run),
-        )
-        for run in runs if len(run) >= LOOPED
-    ]  # fmt: skip
-    return [result for run in runs if len(run) < LOOPED for result in run], loops
-
-
-def _goes_on(last: Result, result: Result) -> bool:
-    """Whether a result goes on with the copy or the constant of the one before."""
-    old, new = last.node, result.node
-    if result.array != last.array or result.number is None or old.op != new.op:
-        return False
-    if old.op == "const":
-        return old is new
-    return old.op == "in" and new.value == (old.value[0], old.value[1] + 1)
-
-
-def _selected(result: Result) -> tuple[tuple[int, int, int, int], int] | None:
-    """For an element that is ``index == k ? value : old``: (leaf, number - k, index, value), k."""
-    node = result.node
-    if result.old is None or node.op != "select":
-        return None
-    test, value, old = node.args
-    if old.op != "in" or old.value != result.old or test.op != "eq":
-        return None
-    index, k = test.args
-    if k.op != "const" or index.kind not in "iul":
-        return None
-    leaf, number = result.old
-    return (leaf, number - k.value, index.id, value.id), k.value
-
-
-def _reach(index: Node) -> range:
-    """All that an index can be."""
-    return range(int(index.low), int(index.high) + 1)
-
-
-def _covered(numbers: list[int], index: Node) -> bool:
-    reach = _reach(index)
-    return len(reach) <= len(numbers) and set(numbers) >= set(reach)
+def _array(writing: _Writing, nodes: tuple[Node, ...]) -> str:
+    """The name of a local array of nodes."""
+    key = tuple(node.id for node in nodes)
+    if key not in writing.arrays:
+        texts = [_text(writing, node) for node in nodes]
+        name = f"a{len(writing.named)}"
+        kind = TYPES[max((kind_of(node) for node in nodes), key="biulf".index)]
+        inner = "\n".join(wrapped([text.text for text in texts], " " * 8))
+        line = f"    const {kind} {name}[{len(nodes)}] = {{\n{inner}\n    }};"
+        writing.named.append((line, frozenset[str]().union(*(text.reads for text in texts))))
+        writing.arrays[key] = name
+    return writing.arrays[key]
 
 
 def _text(writing: _Writing, root: Node) -> Text:
     """The expression of a node; what it needs is written first."""
-    for node in ordered([root]):
-        if node.id not in writing.texts:
+    if root.id not in writing.texts:
+        for node in _ordered([root], writing.sums, writing.texts):
             _write(writing, node)
     return writing.texts[root.id]
 
@@ -230,6 +183,8 @@ def _write(writing: _Writing, node: Node) -> None:
     elif node.op == "in":
         place = writing.places.element(*node.value)
         texts[node.id] = Text(place, ATOM, frozenset({place}))
+    elif node.id in writing.sums:
+        _sum(writing, node, writing.sums[node.id])
     else:
         parts = sorted(_operands(writing, node), key=lambda arg: -len(texts[arg.id].text))
         text = _expression(writing, node)
@@ -242,6 +197,20 @@ def _write(writing: _Writing, node: Node) -> None:
         writing.born[node.id] = len(writing.named)
         if writing.uses[node.id] > 1:
             _name(writing, node)
+
+
+def _sum(writing: _Writing, node: Node, form: Pattern) -> None:
+    """Add up the terms of one form in a local variable."""
+    places = writing.places
+    reads = {
+        places.element(leaf, first + k) for leaf, first in form.rows for k in range(form.count)
+    }
+    local = f"sum{list(writing.sums).index(node.id)}"
+    loop = _loop(writing, form, local, "+=")
+    line = f"    real {local} = {number(0.0, 'f', writing.single)};\n{loop}"
+    writing.named.append((line, frozenset(reads)))
+    writing.texts[node.id] = Text(local)
+    writing.born[node.id] = len(writing.named)
 
 
 def _clamp(writing: _Writing, node: Node) -> tuple[Node, Node, Node] | None:
@@ -265,7 +234,7 @@ def _expression(writing: _Writing, node: Node) -> Text:
     if node.op != "load":
         return operation(node, args, writing.single, writing.helpers)
     (leaf, offset), index, places = node.value, node.args[0], writing.places
-    reads = {places.element(leaf, offset + k) for k in _reach(index)}
+    reads = {places.element(leaf, offset + k) for k in reach(index)}
     place = f"{places.array(leaf)}[{_shifted(offset, args[0])}]"
     return Text(place, ATOM, args[0].reads | reads)
 
@@ -281,7 +250,7 @@ def _name(writing: _Writing, node: Node) -> Text:
     """Give a node a local constant."""
     text = writing.texts[node.id]
     letter = {"f": "x", "b": "is"}.get(node.kind, "n")
-    local = f"{letter}{len(writing.named)}"
+    local = f"{letter}{writing.mark}{len(writing.named)}"
     line = _assigned(f"const {TYPES[kind_of(node)]} {local}", text.text)
     writing.named.append((line, text.reads))
     writing.texts[node.id] = Text(local)
@@ -305,6 +274,12 @@ def _scheduled(
             yield named[position][0]
 
 
-def _assigned(left: str, right: str) -> str:
-    line = f"    {left} = {right};"
-    return line if len(line) <= 100 else f"    {left} =\n        {right};"
+def _assigned(left: str, right: str, sign: str = "=") -> str:
+    line = f"    {left} {sign} {right};"
+    if len(line) <= 100:
+        return line
+    inner = textwrap.fill(
+        f"{right};", 98, initial_indent=" " * 8, subsequent_indent=" " * 12,
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip
+    return f"    {left} {sign}\n{inner}"

@@ -1,14 +1,13 @@
 """Pytrees as C structs: the same names, nested alike, with unit and meaning beside each member."""
 
 import math
-import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from jaxstage.engine.c_text import TYPES
+from jaxstage.engine.c_text import TYPES, wrapped
 from jaxstage.engine.scalar import kind_of
 from jaxstage.fields import Quantity, in_units_of, is_pytree_data, quantities
 
@@ -177,9 +176,6 @@ def _values(member: Member, text: Callable[[Any, str], str], margin: str) -> lis
     if len(plain) <= 72:
         return [plain]
     inner, row = margin + "    ", member.shape[-1]
-    rows = [", ".join(numbers[i : i + row]) + "," for i in range(0, len(numbers), row)]
-    lines = [
-        line for text in rows
-        for line in textwrap.wrap(text, 96, initial_indent=inner, subsequent_indent=inner)
-    ]  # fmt: skip
+    rows = [numbers[i : i + row] for i in range(0, len(numbers), row)]
+    lines = [line for items in rows for line in wrapped(items, inner)]
     return ["{", *lines, margin + "}"]

@@ -109,6 +109,16 @@ def number(value: Any, kind: str, single: bool) -> str:
     return f"{text}f" if single else text
 
 
+def wrapped(items: Sequence[str], margin: str) -> list[str]:
+    """Items, each with a comma, in lines."""
+    lines = [margin]
+    for item in items:
+        if len(lines[-1]) + len(item) > 95 and lines[-1].strip():
+            lines.append(margin)
+        lines[-1] += f"{item}, "
+    return [line.rstrip() for line in lines]
+
+
 def kind_of(node: Node) -> str:
     """The kind of number that C needs for a node: 32 bits where its range allows it."""
     low, high = LIMITS["i"]

@@ -21,8 +21,8 @@ KEPT = 2**18
 
 
 class Call(NamedTuple):
-    """One call of a kernel. batched: which leaves have a leading axis of ``runs``; args: the leaves;
-    fixed: the values that all runs and ticks share."""
+    """One call of a kernel. batched: which leaves have a leading axis of ``runs``; args: the
+    leaves; fixed: the values that all runs and ticks share."""
 
     program: Program
     kernel: Kernel
@@ -105,9 +105,7 @@ def parameters(call: Call) -> tuple[Array, Array]:
 
     def group(table: dict[tuple[int, int], int], dtype: Any) -> Array:
         empty = jnp.zeros((0, call.lanes), dtype)
-        return _chosen(
-            table, lambda n: in_lanes(call, call.args[n], call.batched[n], dtype), empty
-        )
+        return _chosen(table, lambda n: in_lanes(call, call.args[n], call.batched[n], dtype), empty)
 
     return group(slots.real, call.real), group(slots.whole, np.int32)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import ShapedArray as ShapedArray
 from jax.extend import core as _core
 from jax.interpreters import ad as _ad
@@ -32,6 +33,11 @@ def called(params: dict[str, Any]) -> tuple[Any, tuple[Any, ...]]:
             inner = params[name]
             return (inner.jaxpr, tuple(inner.consts)) if hasattr(inner, "consts") else (inner, ())
     raise KeyError(f"a call without a jaxpr: {sorted(params)}")
+
+
+def typed(literal: Any) -> np.ndarray:
+    """A number that stands in a jaxpr, with the type that it has there."""
+    return np.asarray(literal.val, literal.aval.dtype)
 
 
 def scan_parts(equation: Any) -> tuple[int, int]:
@@ -84,7 +90,8 @@ def shaped(shape: tuple[int, ...], dtype: Any, operands: Any) -> Any:
     """The shape of a result that varies over the mesh axes over which an operand does."""
     axes = [getattr(x, "vma", None) for x in operands]
     varying = frozenset().union(*(a for a in axes if a))
-    return ShapedArray(shape, dtype, vma=varying) if varying else ShapedArray(shape, dtype)
+    more: Any = {"vma": varying} if varying else {}
+    return ShapedArray(shape, dtype, **more)
 
 
 def zero_tangent(value: Any) -> Any:

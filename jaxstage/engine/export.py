@@ -38,10 +38,10 @@ def c_files(
     """The controller of a loop as C files, name -> text.
 
     name: of the loop. rows: what the metric `record` stored of a run of the loop, in double
-    precision. version: written into every file. single: ``float`` in place of ``double``. axis: one axis alone, for a law in which
-    none depends on another. prefix: begins every name in C. Raises ValueError for gains out of
-    range, an unknown axis, axes that are coupled, a wrong prefix, and for a law that has no scalar
-    form, with the reason.
+    precision. version: written into every file. single: ``float`` in place of ``double``. axis: one
+    axis alone, for a law in which none depends on another. prefix: begins every name in C. Raises
+    ValueError for gains out of range, an unknown axis, axes that are coupled, a wrong prefix, and
+    for a law that has no scalar form, with the reason.
     """
     axes = loop.plant.axes
     check_names(loop, axis, prefix)

@@ -33,8 +33,7 @@ def inputs(g: Graph, number: int, name: str, like: list[np.ndarray], bounds: Any
     for array in like:
         made = np.empty(array.shape, object)
         for index in np.ndindex(*array.shape):
-            node = array[index]
-            made[index] = g.input((name, number), at, node.kind, bounds=bounds(at))
+            made[index] = g.input((name, number), at, _kind(array[index]), bounds=bounds(at))
             at += 1
         out.append(made)
     return out
@@ -104,6 +103,10 @@ def after(g: Graph, loop: Node, value: Any, kind: str) -> Node:
     return g.special("after", (loop,), value, kind)
 
 
+def _kind(node: Any) -> str:
+    return node.kind
+
+
 def results(
     g: Graph, loop: Node, carry: list[np.ndarray], rows: list[np.ndarray]
 ) -> list[np.ndarray]:
@@ -112,7 +115,7 @@ def results(
     for array in carry:
         made = np.empty(array.shape, object)
         for index in np.ndindex(*array.shape):
-            made[index] = after(g, loop, ("c", at), array[index].kind)
+            made[index] = after(g, loop, ("c", at), _kind(array[index]))
             at += 1
         out.append(made)
     at = 0
@@ -120,7 +123,7 @@ def results(
         made = np.empty((loop.value.length, *array.shape), object)
         for index in np.ndindex(*array.shape):
             for t in range(loop.value.length):
-                made[(t, *index)] = after(g, loop, ("y", t, at), array[index].kind)
+                made[(t, *index)] = after(g, loop, ("y", t, at), _kind(array[index]))
             at += 1
         out.append(made)
     return out

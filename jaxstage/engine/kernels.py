@@ -1,9 +1,9 @@
 """The three kernels of a program: run it, push tangents through it, pull cotangents back.
 
 Each gets its arrays in this order (reals, then integers): P, PI parameters of the runs (slots,
-lanes); S, SI numbers that all runs share; R, RI numbers of each tick (ticks, slots); C, CI the carry
-(slots, lanes); then the tables; then the tangents Q of parameters and D of the carry, or the
-cotangents G of the carry. The lanes are a multiple of a vector.
+lanes); S, SI numbers that all runs share; R, RI numbers of each tick (ticks, slots); C, CI the
+carry (slots, lanes); then the tables; then the tangents Q of parameters and D of the carry, or
+the cotangents G of the carry. The lanes are a multiple of a vector.
 """
 
 import functools
@@ -21,6 +21,7 @@ from jaxstage.engine.program import (
 )
 from jaxstage.engine.source import function, handler, heading, source_of
 from jaxstage.engine.statements import Store
+
 
 class Kernel(NamedTuple):
     """A kernel as text, and what it expects. rows: row leaves that it stores: whether among the

@@ -31,9 +31,7 @@ def program_of(
         leaves += [jnp.asarray(x) for x in found]
         structures.append(structure)
         counts.append(len(found))
-    keys = tuple(
-        (i, jax.random.key_impl(x)) for i, x in enumerate(leaves) if is_key_type(x.dtype)
-    )
+    keys = tuple((i, jax.random.key_impl(x)) for i, x in enumerate(leaves) if is_key_type(x.dtype))
     for i, _ in keys:
         leaves[i] = jax.random.key_data(leaves[i])
     shapes = tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves)
@@ -49,7 +47,7 @@ def program_of(
 def rollout(program: Program, leaves: list[Any], ticks: int) -> tuple[Any, Any]:
     """`ticks` times ``carry, row = step(static, inputs, shared, carry)``: last carry, all rows.
 
-    It means ``lax.scan``, under every transformation of JAX, and is one where it cannot be compiled.
+    It means ``lax.scan``, under every transformation of JAX, and is one where there is no kernel.
     """
     if refusal(program) is None:
         out = rollout_p.bind(

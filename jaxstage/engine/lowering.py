@@ -48,9 +48,7 @@ class Lowered(NamedTuple):
     single: bool
 
 
-def lower(
-    program: Program, closed: Any, own: tuple[bool, ...], groups: tuple[str, ...]
-) -> Lowered:
+def lower(program: Program, closed: Any, own: tuple[bool, ...], groups: tuple[str, ...]) -> Lowered:
     """The graph of a jaxpr whose first arguments are the leaves of the program.
 
     own: of each shared leaf and each carried one, whether runs have it for themselves. groups: the
@@ -59,9 +57,7 @@ def lower(
     steps = in_line(closed)
     carry = range(program.before, program.before + len(program.carry))
     inputs = len(program.inputs)
-    counting = frozenset(
-        n for n in counters(steps, carry) if not own[len(program.shared) + n]
-    )
+    counting = frozenset(n for n in counters(steps, carry) if not own[len(program.shared) + n])
     levels = [RUN] * inputs
     levels += [RUN if own[i] else FIXED for i in range(len(program.shared))]
     levels += [TICK if n in counting else RUN for n in range(len(program.carry))]
@@ -226,6 +222,27 @@ def _fixed(node: Node, fixed: dict[int, bool]) -> bool:
     return known
 
 
+def _invertible(node: Node, fixed: dict[int, bool], exact: set[int]) -> bool:
+    """Whether a division may be a product with the reciprocal of what is the same in every tick."""
+    divides = node.op == "div" and node.kind == "f" and node.id not in exact
+    return divides and node.id in fixed and not fixed[node.id] and fixed[node.args[1].id]
+
+
+def _quantised(nodes: list[Node]) -> set[int]:
+    """Divisions whose quotient is rounded and multiplied again, as an encoder does: one rounding
+    more would move whole steps."""
+    rounded = ("floor", "ceil", "round")
+    stack = [x for n in nodes if n.op == "mul" for x in n.args if x.op in rounded]
+    found: set[int] = set()
+    while stack:
+        node = stack.pop()
+        if node.op == "div":
+            found.add(node.id)
+        elif node.op in (*rounded, "add", "sub", "neg"):
+            stack.extend(node.args)
+    return found
+
+
 class Hoisted(NamedTuple):
     """What is computed before the time loop, into ``h`` and ``hi``: statements and names."""
 
@@ -240,6 +257,7 @@ def hoist(low: Lowered, stores: list[Store], where: Cells) -> Hoisted:
     g, fixed = low.graph, {}
     for node in g.nodes:  # arguments first: no deep recursion
         _fixed(node, fixed)
+    exact = _quantised(g.nodes)
     outer: dict[int, Node] = {}
     inverse: dict[int, Node] = {}
     seen: set[int] = set()
@@ -252,7 +270,7 @@ def hoist(low: Lowered, stores: list[Store], where: Cells) -> Hoisted:
         if fixed[node.id]:
             outer[node.id] = node
             continue
-        if node.op == "div" and node.kind == "f" and fixed[node.args[1].id]:
+        if _invertible(node, fixed, exact):
             inverse[node.args[1].id] = g.op("div", g.const(1, "f"), node.args[1])
             stack.append(node.args[0])
             continue
@@ -269,7 +287,9 @@ def hoist(low: Lowered, stores: list[Store], where: Cells) -> Hoisted:
         names[node.id] = f"as_mask({text})" if node.kind == "b" else text
         counts[real] += 1
     lines = write(made, where, Known({}, {}), low.single, "p")
+    texts = {y: constant(n) if n.op == "const" else names[n.id] for y, n in inverse.items()}
     reciprocals = {
-        y: constant(n) if n.op == "const" else names[n.id] for y, n in inverse.items()
-    }
+        n.id: texts[n.args[1].id] for n in g.nodes
+        if n.op == "div" and n.args[1].id in texts and _invertible(n, fixed, exact)
+    }  # fmt: skip
     return Hoisted(lines, Known(names, reciprocals), counts[True], counts[False])

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxstage.engine.compat import CALLS, Literal, called
+from jaxstage.engine.compat import CALLS, Literal, called, typed
 
 #: what a value depends on: nothing, shared arrays, the tick too, the run
 CONSTANT, FIXED, TICK, RUN = range(4)
@@ -80,7 +80,7 @@ def in_line(closed: Any) -> Steps:
 
         def read(var: Any) -> Any:
             if isinstance(var, Literal):
-                return Literally(np.asarray(var.val, var.aval.dtype))
+                return Literally(typed(var))
             return env[var]
 
         for equation in jaxpr.eqns:
@@ -104,8 +104,8 @@ def in_line(closed: Any) -> Steps:
 def _key(equation: Any, reads: list[Any]) -> Any:
     """What two equations have in common that compute the same; nothing where one holds others."""
     params = equation.params
-    if any(hasattr(v, "eqns") or isinstance(v, tuple | list) and any(
-        hasattr(x, "eqns") for x in v) for v in params.values()):  # fmt: skip
+    if any(hasattr(v, "eqns") or (isinstance(v, tuple | list) and any(
+        hasattr(x, "eqns") for x in v)) for v in params.values()):  # fmt: skip
         return id(equation), object()
     same = [
         (type(v.value).__name__, str(getattr(v.value, "dtype", "")), str(v.value))
@@ -150,9 +150,7 @@ def cut(program: Steps, levels: list[int]) -> Parts:
     level = dict(zip(program.arguments, levels, strict=True))
     level |= dict.fromkeys(program.constants, CONSTANT)
     for step in program.steps:
-        top = max(
-            (level[v] for v in step.reads if not isinstance(v, Literally)), default=CONSTANT
-        )
+        top = max((level[v] for v in step.reads if not isinstance(v, Literally)), default=CONSTANT)
         level |= dict.fromkeys(step.writes, top)
     return Parts(program, level)
 

@@ -135,9 +135,7 @@ def _jvp(args: Any, tangents: Any, *, program: Program, batched: Any, size: int,
         return _differentiated(_reference, args, tangents, params)
     out = rollout_p.bind(*args, **params)
     at = _positions(program, moving)
-    pushed = [
-        jnp.zeros_like(args[i]) if type(tangents[i]) is Zero else tangents[i] for i in at
-    ]
+    pushed = [jnp.zeros_like(args[i]) if type(tangents[i]) is Zero else tangents[i] for i in at]
     flags = (*batched, *(batched[i] for i in at))
     moved = iter(
         tangent_p.bind(
@@ -148,9 +146,7 @@ def _jvp(args: Any, tangents: Any, *, program: Program, batched: Any, size: int,
     return out, [next(moved) if i in real else zero_tangent(x) for i, x in enumerate(out)]
 
 
-def has_derivative(
-    program: Program, batched: tuple[bool, ...], moving: tuple[int, ...]
-) -> bool:
+def has_derivative(program: Program, batched: tuple[bool, ...], moving: tuple[int, ...]) -> bool:
     """Whether kernels have this derivative; else it is that of the scan.
 
     They have none of recorded rows, nor with respect to what all runs share.

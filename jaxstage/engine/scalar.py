@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.engine.compat import CALLS, Literal, called, scan_parts
+from jaxstage.engine.compat import CALLS, Literal, called, scan_parts, typed
 from jaxstage.engine.graph import Graph, new_graph
 from jaxstage.engine.indexing import Lookup, gather, scatter, slice_at, update_at
 from jaxstage.engine.inner import Inner, bounds_of, inputs, loop_node, results, source_of
@@ -102,7 +102,7 @@ def scalarise(graph: Graph, jaxpr: Any, consts: Any, args: list[Any]) -> list[An
 
     def read(var: Any) -> Any:
         if isinstance(var, Literal):
-            return lifted(graph, np.asarray(var.val, var.aval.dtype))
+            return lifted(graph, typed(var))
         return env[var]
 
     for var, value in zip(jaxpr.constvars, consts, strict=True):
@@ -251,7 +251,9 @@ def _equations(jaxpr: Any) -> int:
     )
 
 
-def _looped(g: Graph, equation: Any, fixed: list[Any], carry: list[Any], xs: list[Any]) -> list[Any]:
+def _looped(
+    g: Graph, equation: Any, fixed: list[Any], carry: list[Any], xs: list[Any]
+) -> list[Any]:
     """As a node `loop`."""
     length, body = equation.params["length"], equation.params["jaxpr"]
     number = since = len(g.nodes)

@@ -113,18 +113,14 @@ static XLA_FFI_Error* failed(XLA_FFI_CallFrame* f, const char* why) {{
 
 def _cells(source: Source, real: bool) -> int:
     leaves = source.program.carry
-    return sum(
-        leaves[number].size for number, (r, _) in source.where.carry.items() if r == real
-    )
+    return sum(leaves[number].size for number, (r, _) in source.where.carry.items() if r == real)
 
 
 def _moving(source: Source, names: str) -> int:
     program = source.program
     first, second = names
     leaves = program.carry if first == "d" else program.leaves
-    return sum(
-        leaves[number].size for name, number in source.where.moving if name == second
-    )
+    return sum(leaves[number].size for name, number in source.where.moving if name == second)
 
 
 def handler(source: Source, head: str, body: str) -> str:

@@ -33,7 +33,7 @@ class Cells(NamedTuple):
 
 
 class Known(NamedTuple):
-    """Names of nodes that need no computing, and of the reciprocals of some."""
+    """Names of nodes that need no computing, and of the reciprocals that some divisions use."""
 
     names: dict[int, str]
     reciprocals: dict[int, str]
@@ -83,8 +83,8 @@ def write(
                 text = cells.read(own)
             elif own.op == "load":
                 text = _load(own, cells, at(own.args[0]))
-            elif own.op == "div" and own.args[1].id in known.reciprocals:
-                text = f"{name(own.args[0])} * {known.reciprocals[own.args[1].id]}"
+            elif own.id in known.reciprocals:
+                text = f"{name(own.args[0])} * {known.reciprocals[own.id]}"
             else:
                 text = expression(own, [name(a) for a in own.args], single)
             lines.append(f"const {TYPES[own.kind]} {names[own.id]} = {text};")
@@ -178,9 +178,7 @@ def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
         if node.op == "after" and node.args[0] is loop and node.value[0] == "y":
             found.add(node.value[2])
         if node.op == "loop":
-            found |= {
-                s[2] for s in node.value.given if s[0] == "rows" and s[1] is loop
-            }
+            found |= {s[2] for s in node.value.given if s[0] == "rows" and s[1] is loop}
     return found
 
 
@@ -192,8 +190,7 @@ def _guarded_stores(
     free = [f"{s.array}[{s.slot}] = {name(s.node)};" for s in stores]
     free += [f"put({p.array}+{p.slot}, {at}, every(true), {name(p.value)});" for p, at in puts]
     held = [
-        f"{s.array}[{s.slot}] = pick({where}, {name(s.node)}, {s.array}[{s.slot}]);"
-        for s in stores
+        f"{s.array}[{s.slot}] = pick({where}, {name(s.node)}, {s.array}[{s.slot}]);" for s in stores
     ]
     held += [f"put({p.array}+{p.slot}, {at}, {where}, {name(p.value)});" for p, at in puts]
     return [f"if (__builtin_expect(everywhere({where}), 1)) {{", *free, "} else {", *held, "}"]
@@ -213,7 +210,9 @@ def _guarded(stores: list[Store], cells: Cells) -> tuple[list[list[Store]], list
     several = [g for g in groups.values() if len(g) > 2]
     for group in groups.values():
         if len(group) <= 2:
-            rest += [s for s in stores if any(s.array == o.array and s.slot == o.slot for o in group)]
+            rest += [
+                s for s in stores if any(s.array == o.array and s.slot == o.slot for o in group)
+            ]
     return several, rest
 
 
@@ -230,8 +229,7 @@ def _until(roots: list[Node], known: Known) -> list[Node]:
             elif node.id not in seen and node.id not in known.names:
                 seen.add(node.id)
                 stack.append((node, True))
-                inverted = node.op == "div" and node.args[1].id in known.reciprocals
-                read = node.args[:1] if inverted else node.args
+                read = node.args[:1] if node.id in known.reciprocals else node.args
                 stack.extend((a, False) for a in reversed(read))
     return out
 
@@ -306,7 +304,12 @@ def _holds(store: Store, node: Node, cells: Cells) -> bool:
 
 def _update(store: Store, cells: Cells) -> tuple[Node, int, Node, Node | None] | None:
     node = store.node
-    if node.op != "select" or store.add or node.kind != "f" or not _holds(store, node.args[2], cells):
+    if (
+        node.op != "select"
+        or store.add
+        or node.kind != "f"
+        or not _holds(store, node.args[2], cells)
+    ):
         return None
     condition, value, _ = node.args
     where = None

@@ -76,7 +76,7 @@ def work(
     law: str, dtype: str, lanes: int, ticks: int, full: bool = False, lap_time: float = 1.0,
     segment: int = 0,
 ) -> Work:  # fmt: skip
-    """`lanes` runs with gains and plant within 10 % of the published ones, on one path.
+    """`lanes` runs with gains and plant within 10 % of the published ones, on one path, as a scan.
 
     full: all default metrics instead of the tracking error alone.
     """
@@ -92,10 +92,16 @@ def work(
     own = jax.tree.map(lambda x: _spread(random, x, lanes, dtype), case.scenario.plant)
     plant = js.replace(own, static=np.maximum(own.static, own.coulomb))
     start = Start(offset=np.zeros(2, dtype), velocity=np.zeros(2, dtype))
-    loop = js.replace(case.loop, metric=case.metric if full else tracking, segment=segment)
+    metric = case.metric if full else tracking
+    loop = js.replace(case.loop, metric=metric, segment=segment, engine=js.scan)
     inputs = (gains, js.replace(case.scenario, plant=plant, start=start), _path(dtype, lap_time))
     gains, scenario, path = jax.tree.map(jnp.asarray, inputs)
     return Work(law, loop, gains, scenario, path, ticks, lanes)
+
+
+def compiled(work: Work) -> Work:
+    """The same runs, compiled."""
+    return work._replace(loop=js.replace(work.loop, engine=js.compiled))
 
 
 def parameter_rows(work: Work) -> np.ndarray:

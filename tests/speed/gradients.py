@@ -10,7 +10,7 @@ from jax import Array
 
 import jaxstage as js
 
-from .cases import Work, work
+from .cases import Work, compiled, work
 
 #: tuned parameters: two axes of each
 NAMES = ("slope", "rate", "credit", "error_width")
@@ -51,4 +51,7 @@ def programs(dtype: str, lanes: int, ticks: int) -> dict[str, Callable[[], Any]]
         "reverse, segments": gradient(segmented(dtype, lanes, ticks), jax.grad),
         "reverse, plain scan": gradient(plain, jax.grad),
         "jacfwd, 8 parameters": gradient(plain, jax.jacfwd),
+        "engine, forward": gradient(compiled(plain), lambda f: f),
+        "engine, reverse": gradient(compiled(plain), jax.grad),
+        "engine, jacfwd, 8": gradient(compiled(plain), jax.jacfwd),
     }
