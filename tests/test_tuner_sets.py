@@ -5,12 +5,24 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxstage as js
+from jaxstage.metrics import columns
+from tuning.comparisons import find_study, gains_files, other_gains
 from tuning.tuner import training
-from tuning.tuner.judging import Judged, Trial, Trials, held_out_verdict, judge, refusals
+from tuning.tuner.judging import (
+    Judged,
+    Trial,
+    Trials,
+    figures,
+    held_out_verdict,
+    judge,
+    light,
+    refusals,
+)
 from tuning.tuner.objective import parse_goals
 from tuning.tuner.problem import Evaluation
 from tuning.tuner.session import missed
@@ -67,15 +79,15 @@ def test_a_loop_that_judges_whole_runs_or_has_a_start_of_its_own_keeps_that():
 def test_the_held_out_runs_are_apart():
     """Other contours, another seed, four times as long; plants at least 20 % apart."""
     sets = default()
-    assert {c.loop for c in sets.train.contours} == {"pi-circle"}
-    assert {c.loop for c in sets.held_out.contours} == {"pi-bowknot", "pi-heart", "pi-star"}
+    assert [c.loop for c in sets.train.contours] == ["pi-circle", "pi-star"], "and sharp corners"
+    assert {c.loop for c in sets.held_out.contours} == {"pi-bowknot", "pi-heart"}
     assert sets.held_out.plants == 100 and sets.held_out.seed != sets.train.seed
     assert sets.held_out.horizons == (4 * sets.train.horizons[0],)
     for spread in sets.held_out.spreads:
         assert spread["low"] <= 0.8 and spread["high"] >= 1.2
     table = set_table(sets.held_out._replace(plants=7))
     runs = series(table, {})
-    assert [len(one.labels) for one in runs] == [3, 2, 2] and scenarios(table) == 7
+    assert [len(one.labels) for one in runs] == [4, 3] and scenarios(table) == 7
     assert len({tuple(m) for one in runs for m in one.values["plant.mass"]}) == 7
 
 
@@ -316,11 +328,45 @@ def test_a_goal_that_is_missed_says_where_and_by_what():
 
 
 def test_the_worst_plants_are_those_that_simulation_shows():
-    (one,) = series(set_table(wanted(plants=4, noise_seeds=1)), {})
+    (one,) = series(set_table(wanted(noise_seeds=1)), {})
     found = worst_plants([one], one.case.gains, "contour_rms_um")
-    figure = judge([one], one.case.gains, one.case.gains, "contour_rms_um").before
-    order = np.argsort(-figure)[:2]
+    shown = figures([one._replace(case=light(one.case, "contour_rms_um"))], [one.case.gains])
+    order = np.argsort(-shown["contour_rms_um"][0])[:2]
     assert found.labels == tuple(one.labels[i] for i in order)
-    np.testing.assert_array_equal(found.added[0].seeds, one.seeds[order])
-    np.testing.assert_array_equal(found.added[0].values["plant.mass"],
-                                  one.values["plant.mass"][order])  # fmt: skip
+    assert found.worst == shown["contour_rms_um"].max()
+    (added,) = found.added
+    np.testing.assert_array_equal(added.seeds, one.seeds[order])
+    np.testing.assert_array_equal(added.values["plant.mass"], one.values["plant.mass"][order])
+
+
+# --- compare --gains -----------------------------------------------------------------------------
+
+
+def test_a_loop_with_the_gains_of_its_study_and_of_a_file(tmp_path):
+    file = tmp_path / "gains.toml"
+    file.write_text("[gains]\nslope = 3.0\n\n[[tuned]]\ngain = 'gains.slope'\n")
+    study = find_study("fuzzy-cmac")
+    given = gains_files(study, [f"pi-circle={file}"])
+    (found,) = other_gains(given, FAST)
+    case = js.build("pi-circle", js.Timing(lap_time=0.05, laps=1, scored=0))
+    assert found.loop == "pi-circle" and found.file == str(file)
+    for gains, told in ((1.0, found.study), (3.0, found.given)):
+        run = case._replace(gains=js.replace(case.gains, slope=jnp.full(2, gains))).simulate()
+        plain = columns(run.report, case.loop.plant)
+        assert told["contour_rms_um"] == pytest.approx(plain["contour_rms_um"], rel=1e-9)
+    assert found.study["contour_rms_um"] != found.given["contour_rms_um"]
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [
+        ("gains.toml", "must be LOOP=FILE"),
+        ("pi-circle=", "must be LOOP=FILE"),
+        ("pi-cirle=a.toml", "fuzzy-cmac has no such loop; did you mean 'pi-circle'"),
+        ("none=a.toml", "has no such loop"),
+    ],
+)
+def test_wrong_gains_to_compare(word, says):
+    with pytest.raises(ValueError, match="--gains") as told:
+        gains_files(find_study("fuzzy-cmac"), [word])
+    assert says in str(told.value)

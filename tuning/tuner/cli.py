@@ -35,6 +35,9 @@ def tune(
         float,
         typer.Option(help="Gain margin: trains with 1 -+ this share of the command, too."),
     ] = 0.5,
+    surrogate: Annotated[
+        str, typer.Option(help="none, or creeping: searches with friction that creeps.")
+    ] = "none",
     train: Annotated[
         Path | None, typer.Option(help="TOML file of training and held-out runs.")
     ] = None,
@@ -85,8 +88,9 @@ def tune(
     text = configuration.configure_tuning(
         configuration.Request(
             loop=loop, words=tuple(set_ or ()), gains=tuple(gains or ()), scenario=scenario,
-            objective=objective, goals=tuple(goal or ()), risk=risk, margin=margin, train=train,
-            method=method, starts=starts, budget=budget, worst_case=worst_case, seed=seed,
+            objective=objective, goals=tuple(goal or ()), risk=risk, margin=margin,
+            surrogate=surrogate, train=train, method=method, starts=starts, budget=budget,
+            worst_case=worst_case, seed=seed,
         )
     )  # fmt: skip
     if out is not None:

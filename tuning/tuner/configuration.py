@@ -33,6 +33,7 @@ from tuning.tuner.options import (
 from tuning.tuner.problem import WIDTH, Group, Problem, make_group, make_problem
 from tuning.tuner.sets import MOST_RUNS, Series, Wanted, same_law, scenarios, series, set_table
 from tuning.tuner.space import SearchSpace, default_searches, search_space
+from tuning.tuner.surrogate import NONE, SURROGATES
 from tuning.tuner.training import Asked, apart, read_sets, spreads_of
 from tuning.tuner.tune import AMONG, METHODS
 
@@ -62,6 +63,7 @@ class Request(NamedTuple):
     goals: tuple[str, ...] = ()
     risk: str = "mean"
     margin: float = MARGIN
+    surrogate: str = NONE
     train: Path | None = None
     method: str = AUTO
     starts: int = 2
@@ -112,6 +114,7 @@ def configure_tuning(request: Request) -> str:
     trained = _named_set("train", sets.train, asked)
     case = case_of(trained["case"][0], _blocks(request.scenario))
     same_law(prepared.case, case)
+    SURROGATES[request.surrogate](case)
     columns = available(case)
     unit = key("", case.loop.plant.command_unit).removeprefix("_")
     objective = request.objective or default_objective(columns, unit)
@@ -134,6 +137,7 @@ def configure_tuning(request: Request) -> str:
         "goal": list(request.goals),
         "risk": request.risk,
         "margin": float(request.margin),
+        "surrogate": request.surrogate,
         "blocks": dict(_blocks(request.scenario)),
         "search": list(searches),
         "case": case_table(prepared.case),
@@ -149,6 +153,8 @@ def _check_numbers(request: Request) -> None:
         raise ValueError(f"--method {request.method}{hint}: must be one of {known}")
     if request.risk not in RISKS:
         raise ValueError(f"--risk {request.risk}: must be one of {', '.join(RISKS)}")
+    if request.surrogate not in SURROGATES:
+        raise ValueError(f"--surrogate {request.surrogate}: must be one of {', '.join(SURROGATES)}")
     if not 0 <= request.margin < 1:
         raise ValueError(f"--margin {request.margin:g}: must be in 0..1")
     if not 1 <= request.budget <= 1e6:
@@ -234,10 +240,14 @@ def _other_plants(plan: Plan, apart: int) -> dict[str, Any]:
     return {**train, "seed": (train["seed"] + apart) % 2**32}
 
 
-def groups_of(plan: Plan, every: list[Series]) -> list[Group]:
-    """Runs as `make_problem` takes them, with the stability margin that was asked for."""
+def groups_of(plan: Plan, every: list[Series], surrogate: str = NONE) -> list[Group]:
+    """Runs as `make_problem` takes them, with the stability margin that was asked for.
+
+    surrogate: of `SURROGATES`, in place of the exact machine.
+    """
+    smoother, margin = SURROGATES[surrogate], plan.table["margin"]
     return [
-        make_group(one.case.name, one.case, one.values, one.seeds, plan.table["margin"])
+        make_group(one.case.name, smoother(one.case), one.values, one.seeds, margin)
         for one in every
     ]
 

@@ -137,6 +137,13 @@ def _diagnostics(outcome: Outcome) -> Iterator[str]:
     ):
         first, second = one.figure
         yield f"{name}: {outcome.plan.figure} {first:.4g} -> {second:.4g}"
+    if outcome.surrogate:
+        first, second = outcome.surrogate
+        exact = trials.exact.objective
+        yield (
+            f"objective on the surrogate {first:.4g} -> {second:.4g}, on the exact model "
+            f"{exact[0]:.4g} -> {exact[1]:.4g}"
+        )
     if outcome.chosen.share < 1:
         yield (
             f"taken back to {outcome.chosen.share:.0%} of the way from the gains before: what was "

@@ -62,7 +62,7 @@ def trade_off_columns(plan: Plan) -> tuple[str, ...]:
 
 def pareto(outcome: Outcome, budget: float, folder: Path | None) -> Front:
     """The trade-offs around tuned gains. budget: units for all weightings together."""
-    plan, problem, tuned = outcome.plan, outcome.problem, outcome.tuned
+    plan, problem, tuned = outcome.plan, outcome.exact, outcome.tuned
     columns = trade_off_columns(plan)
     every = _problem(plan, problem, columns)
     shares = weights(len(columns), STEPS)

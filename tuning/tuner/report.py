@@ -125,6 +125,9 @@ def diagnostics_object(outcome: Outcome) -> dict[str, Any]:
         "spectral_radius": dict(zip(("before", "after"), found.radius, strict=True))
         if found.radius
         else None,
+        "surrogate": dict(zip(("before", "after"), outcome.surrogate, strict=True))
+        if outcome.surrogate
+        else None,
         "share": outcome.chosen.share,
         "exact": _trial(trials.exact),
         "half_step": _trial(trials.half_step),

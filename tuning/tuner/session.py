@@ -35,8 +35,9 @@ from tuning.tuner.judging import (
     refusals,
     trial_refusals,
 )
-from tuning.tuner.problem import Evaluation, Problem, evaluate
+from tuning.tuner.problem import Evaluation, Group, Problem, evaluate
 from tuning.tuner.sets import Series, series
+from tuning.tuner.surrogate import NONE
 from tuning.tuner.tune import METHODS, Progress, Tuned, tune
 from tuning.tuner.worst_case import worst_plants
 
@@ -87,11 +88,14 @@ class Chosen(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """A tuning and what it rests on. problem: on the training runs, without added plants. judged:
-    the held-out runs. refused: why the chosen gains are not accepted."""
+    """A tuning and what it rests on. problem: on the training runs, without added plants; exact:
+    the same on the exact machine. surrogate: objective there before and after, None without one.
+    judged: the held-out runs. refused: why the chosen gains are not accepted."""
 
     plan: Plan
     problem: Problem
+    exact: Problem
+    surrogate: tuple[float, float] | None
     rounds: tuple[Round, ...]
     chosen: Chosen
     held_out: HeldOut
@@ -118,12 +122,13 @@ class Outcome(NamedTuple):
 def run_tuning(plan: Plan, folder: Path | None = None, watch: Watch = SILENT) -> Outcome:
     """Train, then test. folder: keeps every evaluation; a stopped tuning goes on from there."""
     watch.stage("compiling the training runs")
-    groups = groups_of(plan, runs_of(plan, "train"))
-    problem = problem_of(plan, groups)
+    problem = exact = problem_of(plan, groups_of(plan, runs_of(plan, "train")))
+    if plan.table["surrogate"] != NONE:
+        problem = problem_of(plan, _trained_on(plan, runs_of(plan, "train")))
     rounds = train_rounds(plan, problem, folder, watch)
     tuned = rounds[-1].tuned
     watch.stage("testing on the exact model: half the step, longer on other plants")
-    chosen = _choose(plan, problem, tuned)
+    chosen = _choose(plan, exact, tuned)
     watch.stage("testing on held-out plants")
     judged = held_out(plan, chosen.gains)
     verdict = held_out_verdict(judged)
@@ -131,6 +136,8 @@ def run_tuning(plan: Plan, folder: Path | None = None, watch: Watch = SILENT) ->
     return Outcome(
         plan=plan,
         problem=problem,
+        exact=exact,
+        surrogate=_on_surrogate(problem, chosen.z) if problem is not exact else None,
         rounds=rounds,
         chosen=chosen,
         held_out=verdict,
@@ -138,6 +145,16 @@ def run_tuning(plan: Plan, folder: Path | None = None, watch: Watch = SILENT) ->
         diagnostics=diagnose(problem, tuned, chosen.z, plan.case),
         refused=refusals(chosen.trials, verdict),
     )
+
+
+def _trained_on(plan: Plan, every: list[Series]) -> list[Group]:
+    """Runs of the search: of the surrogate, where there is one."""
+    return groups_of(plan, every, plan.table["surrogate"])
+
+
+def _on_surrogate(problem: Problem, z: np.ndarray) -> tuple[float, float]:
+    before, after = evaluate(problem, np.stack([problem.space.start(), z])).objective
+    return float(before), float(after)
 
 
 def journal(folder: Path | None, name: str) -> Path | None:
@@ -163,7 +180,7 @@ def train_rounds(
         if number:
             watch.stage(f"round {number + 1}: looking for the worst plants")
             found = worst_plants(pool(plan, number), rounds[-1].tuned.gains, held_out_figure(plan))
-            groups += groups_of(plan, found.added)
+            groups += _trained_on(plan, found.added)
             added = found.labels
             starts = rounds[-1].tuned.z[None]
         here = problem_of(plan, groups, problem) if number else problem
@@ -178,7 +195,7 @@ def train_rounds(
 
 def _fresh_problem(plan: Plan, problem: Problem) -> Problem:
     """The same problem on other plants: nothing is compiled again."""
-    groups = groups_of(plan, fresh_runs(plan))
+    groups = _trained_on(plan, fresh_runs(plan))
     data = tuple((group.batch.scenario, group.batch.path) for group in groups)
     return problem._replace(groups=tuple(groups), data=data)
 

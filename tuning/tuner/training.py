@@ -38,6 +38,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxstage.fields import leaves, replace
@@ -56,7 +57,7 @@ LONGER = 4
 #: share of a run that its figures leave out, unless the loop's timing judges whole runs: the start
 START_SHARE = 0.2
 #: plants: drawn for training, and held out
-PLANTS, HELD_OUT = 3, 100
+PLANTS, HELD_OUT = 2, 100
 #: least spread of what is uncertain: factors 1 -+ this
 SPREAD = 0.2
 #: added to the seed for the plants that are held out
@@ -116,11 +117,16 @@ def _judged(own: Timing, changed: Timing) -> Timing:
 
 
 def default_training(asked: Asked, case: Case) -> Wanted:
-    """The nominal plant and `PLANTS` others on the contour of the loop. case: of the loop."""
+    """The nominal plant and `PLANTS` others on the contour of the loop, in a lap that fits, and at
+    the loop's own speed on the one with the sharpest corners, if others are left to be held out.
+    case: of the loop."""
     timing = shortened(case.timing)
     assert timing.duration is not None
+    contours = [Contour(asked.loop, (*asked.words, *_changed_words(case.timing, timing)))]
+    others = sisters(asked.loop, case.timing.dt, case.timing.substeps)
+    contours += [Contour(others[0], asked.words)] if len(others) > 1 else []
     return Wanted(
-        contours=(Contour(asked.loop, (*asked.words, *_changed_words(case.timing, timing))),),
+        contours=tuple(contours),
         plants=PLANTS, nominal=True, noise_seeds=1, seed=asked.seed, horizons=(timing.duration,),
         skip=timing.skip, spreads=asked.spreads, correlations=asked.correlations, design="sobol",
     )  # fmt: skip
@@ -131,11 +137,12 @@ def _changed_words(own: Timing, timing: Timing) -> tuple[str, ...]:
 
 
 def default_held_out(asked: Asked, case: Case) -> Wanted:
-    """`HELD_OUT` plants, on the other contours of the law where there are any,
+    """`HELD_OUT` plants, on the contours of the law that are not trained on where there are any,
     else with the motion spread, too, at the loop's own lap time and `LONGER` times as long."""
     timing = longer(case.timing)
     assert timing.duration is not None
     others = sisters(asked.loop, case.timing.dt, case.timing.substeps)
+    others = others[1:] if len(others) > 1 else others
     own = [
         {"path": path, "distribution": "uniform", "low": 1 - SPREAD, "high": 1 + SPREAD}
         for path, quantity, value in leaves(case.path, "reference")
@@ -153,19 +160,31 @@ def default_held_out(asked: Asked, case: Case) -> Wanted:
 
 @functools.cache
 def sisters(loop: str, dt: float, substeps: int) -> tuple[str, ...]:
-    """Loops of the same study with the same law and published gains on another contour."""
+    """Loops of the same study with the same law and published gains on another contour, the one
+    with the sharpest corners first."""
     stem = loop.rpartition("-")[0]
     study = next(s for s in known_studies() if any(entry.name == loop for entry in s.loops))
     names = [e.name for e in study.loops if stem and e.name.startswith(f"{stem}-")]
     if len(names) < 2:
         return ()
     # a short lap: only the curves are compared
-    own = find(loop).build(Timing(lap_time=GLANCE * dt, laps=1, dt=dt, substeps=substeps))
-    return tuple(name for name in names if name != loop and _is_sister(own, name))
+    timing = Timing(lap_time=GLANCE * dt, laps=1, dt=dt, substeps=substeps)
+    built = {name: find(name).build(timing) for name in names}
+    found = [n for n in names if n != loop and _are_sisters(built[loop], built[n])]
+    return tuple(sorted(found, key=lambda name: -_sharpness(built[name])))
 
 
-def _is_sister(own: Case, name: str) -> bool:
-    other = find(name).build(own.timing)
+def _sharpness(case: Case) -> float:
+    """Largest change of the commanded velocity in a tick, over the mean speed."""
+    ticks = jnp.arange(case.window.lap)
+    velocity = np.asarray(
+        jax.vmap(case.loop.reference.sample, (None, 0))(case.path, ticks).velocity
+    )
+    steps = np.linalg.norm(np.roll(velocity, -1, axis=0) - velocity, axis=1)
+    return float(steps.max() / np.linalg.norm(velocity, axis=1).mean())
+
+
+def _are_sisters(own: Case, other: Case) -> bool:
     blocks = ("plant", "controller", "reference", "load", "sensor", "drive")
     same = all(getattr(own.loop, b) == getattr(other.loop, b) for b in blocks)
     return same and _equal(own.gains, other.gains) and not _equal(own.path, other.path)
