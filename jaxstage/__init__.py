@@ -12,9 +12,10 @@ plants       machines                            controllers  control laws and c
 references   NURBS curves, timing, motion        loads, sensors, drives
 metrics      online figures, windows, recording  studies      published systems, ready to run
 rollout      simulate, replay                    batch        rollouts: many runs at once
+engine       a loop compiled for this processor  explain      whether it is, and why not
 gradients    derivatives, and a check of them    settings     names, TOML files
 stability    eigenvalues of one tick             runtime      precision, devices, cache
-plot         pictures (imports matplotlib)
+plot         pictures (imports matplotlib)      testing      the contract of a law, as checks
 """
 
 __version__ = "0.1.0"
@@ -22,12 +23,18 @@ __version__ = "0.1.0"
 from jaxstage.batch import rollouts as rollouts
 from jaxstage.blocks import Controller as Controller
 from jaxstage.blocks import Drive as Drive
+from jaxstage.blocks import Engine as Engine
 from jaxstage.blocks import Load as Load
 from jaxstage.blocks import Loop as Loop
 from jaxstage.blocks import Metric as Metric
 from jaxstage.blocks import Plant as Plant
 from jaxstage.blocks import Reference as Reference
 from jaxstage.blocks import Sensor as Sensor
+from jaxstage.blocks import auto as auto
+from jaxstage.blocks import compiled as compiled
+from jaxstage.blocks import scan as scan
+from jaxstage.explain import Explanation as Explanation
+from jaxstage.explain import explain as explain
 from jaxstage.fields import replace as replace
 from jaxstage.gradients import grad_check as grad_check
 from jaxstage.gradients import kinks as kinks

@@ -60,9 +60,8 @@ from jaxstage.studies.fuzzy_cmac.loops import (
     sliding_gains,
 )
 from jaxstage.studies.mrac_asmc import values as axis
-
-DT = 1e-4
-
+from jaxstage.testing import DT as DT
+from jaxstage.testing import cast as cast
 
 # --- a toy shift ---------------------------------------------------------------------------
 
@@ -211,11 +210,6 @@ ENTRIES = [*map(_published, LAWS), *_switched(), *_composed(), *_surfaces(), *_a
 
 
 # --- a bench -------------------------------------------------------------------------------
-
-
-def cast(tree: Any, dtype: Any = jnp.float64) -> Any:
-    """The tree with every leaf a strong array of one type."""
-    return jax.tree.map(lambda x: jnp.asarray(x, dtype), tree)
 
 
 def setpoint(

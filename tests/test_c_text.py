@@ -32,6 +32,8 @@ def whole(x):
 EXACT = {
     "max": jnp.maximum, "min": jnp.minimum, "add": lambda a, b: a + b, "div": lambda a, b: a / b,
     "clip": lambda a, b: jnp.clip(a, -1.0, 2.0), "sign": lambda a, b: jnp.sign(a),
+    "between": lambda a, b: jnp.minimum(jnp.maximum(a, b), a - b),
+    "between_zeros": lambda a, b: jnp.clip(a, -0.0 * b, 0.0 * b),
     "abs": lambda a, b: jnp.abs(a), "floor": lambda a, b: jnp.floor(a),
     "ceil": lambda a, b: jnp.ceil(a), "round": lambda a, b: jnp.round(a),
     "sqrt": lambda a, b: jnp.sqrt(a), "fmod": lax.rem,

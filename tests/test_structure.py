@@ -32,7 +32,11 @@ LAYERS = (
     ("check", "tick"),
     ("engine",),
     ("rollout",),
+<<<<<<< HEAD
     ("tiles", "gradients", "stability", "testing"),
+=======
+    ("tiles", "gradients", "stability", "explain"),
+>>>>>>> engine
     ("batch",),
     ("studies",),
     ("plot",),

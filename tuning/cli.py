@@ -214,15 +214,25 @@ def report(
 
 @app.command(epilog=_example("doctor"))
 def doctor(
+    loop: Annotated[
+        str | None, typer.Argument(help="A loop: is it compiled for this processor, and why not?")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     precision: Annotated[str, typer.Option(help="double or single.")] = "double",
 ) -> None:
-    """What this machine gives, and a one-second speed test."""
+    """What this machine gives, and a one-second speed test.
+
+    With a loop: the kernels that the engine builds of it, or the reason why it does not.
+    """
     from jaxstage.runtime import configure, cpu_cores
 
     configure(precision=precision, cores=cpu_cores(), cache="default")
-    from tuning.doctor import examine
+    from tuning.doctor import examine, explained
 
+    if loop is not None:
+        found, text = explained(loop)
+        print(json.dumps(found, indent=2, allow_nan=False) if as_json else text)
+        return
     found = examine()
     if as_json:
         print(json.dumps(found, indent=2, allow_nan=False))

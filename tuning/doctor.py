@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import jaxlib.version
 
-from jaxstage import Timing, __version__, build, replace
+from jaxstage import Timing, __version__, build, explain, replace
 from jaxstage.batch import rollouts
+from jaxstage.engine.build import compiler
 from jaxstage.runtime import cache_folder, cpu_cores
 
 LANES = 128
@@ -31,9 +32,25 @@ def examine() -> dict[str, Any]:
         "cores_used": len(devices) if jax.default_backend() == "cpu" else 0,
         "precision": "double" if jnp.zeros(()).dtype == jnp.float64 else "single",
         "cache": cache_folder(),
+        "compiler": compiler(),
         "lane_steps_per_s": speed(),
         "speed_of": f"dfcmac-circle, {LANES} runs at once, all default metrics",
     }
+
+
+def explained(name: str) -> tuple[dict[str, Any], str]:
+    """What the engine makes of a loop: the object of ``jaxstage doctor LOOP --json``, and text."""
+    case = build(name)
+    found = explain(case.loop, case.gains, case.scenario, case.path)
+    kernels = [
+        {"kernel": k.what, "reason": k.reason, "operations": k.nodes, "bytes": k.bytes,
+         "compile_s": k.seconds, "graph_s": k.graph_seconds, "cached": k.cached}
+        for k in found.kernels
+    ]  # fmt: skip
+    shortest = found.shortest if found.shortest < float("inf") else None
+    top = {"loop": name, "engine": found.engine, "compiled_from_ticks": shortest,
+           "compiler": found.compiler, "compiled": found.compiled}  # fmt: skip
+    return top | {"kernels": kernels}, f"{name}: {found.text()}"
 
 
 def speed() -> float:

@@ -81,6 +81,12 @@ def _temporary() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="jaxstage-")
 
 
+def library_file(text: str) -> Path:
+    """Where the library of a kernel is kept: by its text and all that it depends on."""
+    key = "\n".join((text, HEADER.read_text(encoding="utf-8"), " ".join(FLAGS), _machine()))
+    return _folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.so"
+
+
 @functools.cache
 def build(text: str) -> Built:
     """Compile a kernel, or take it from the cache, and make it known to XLA.
@@ -90,9 +96,7 @@ def build(text: str) -> Built:
     program = compiler()
     if program is None:
         raise NotImplementedError("no C++ compiler (g++ or clang++) was found")
-    key = "\n".join((text, HEADER.read_text(encoding="utf-8"), " ".join(FLAGS), _machine()))
-    name = hashlib.sha256(key.encode()).hexdigest()[:24]
-    file = _folder() / f"{name}.so"
+    file = library_file(text)
     begin, cached = time.perf_counter(), True
     library = _opened(file)
     if library is None:
@@ -101,7 +105,7 @@ def build(text: str) -> Built:
         library = _opened(file)
     if library is None:
         raise NotImplementedError(f"the kernel {file} cannot be loaded")
-    target = f"jaxstage_{name}"
+    target = f"jaxstage_{file.stem}"
     jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(library.kernel), platform="cpu")
     seconds = 0.0 if cached else time.perf_counter() - begin
     return Built(target, seconds, file.stat().st_size, cached)

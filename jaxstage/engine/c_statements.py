@@ -1,16 +1,26 @@
 """A scalar graph as C99 statements.
 
 A node that is used more than once gets a local constant, any other stands in the expression that
-uses it. A store is issued as soon as nothing still reads what it overwrites, so that few locals
-live at a time. Elements that an index selects for the same value are one indexed store; elements
-in a row that are copied, or set to one constant, are a loop.
+uses it; a maximum inside a minimum is one call. A store is issued as soon as nothing still reads
+what it overwrites, so that few locals live at a time. Elements that an index selects for the same
+value are one indexed store; elements in a row that are copied, or set to one constant, are a loop.
 """
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
-from jaxstage.engine.c_text import ADD, ATOM, TYPES, Text, bracketed, constant, kind_of, operation
+from jaxstage.engine.c_text import (
+    ADD,
+    ATOM,
+    TYPES,
+    Text,
+    bracketed,
+    clamped,
+    constant,
+    kind_of,
+    operation,
+)
 from jaxstage.engine.graph import Node
 from jaxstage.engine.scalar import ordered
 
@@ -221,8 +231,8 @@ def _write(writing: _Writing, node: Node) -> None:
         place = writing.places.element(*node.value)
         texts[node.id] = Text(place, ATOM, frozenset({place}))
     else:
+        parts = sorted(_operands(writing, node), key=lambda arg: -len(texts[arg.id].text))
         text = _expression(writing, node)
-        parts = sorted(node.args, key=lambda arg: -len(texts[arg.id].text))
         for part in parts:
             inside = texts[part.id].text
             if len(text.text) > LONGEST and ("(" in inside or " " in inside):
@@ -234,8 +244,24 @@ def _write(writing: _Writing, node: Node) -> None:
             _name(writing, node)
 
 
+def _clamp(writing: _Writing, node: Node) -> tuple[Node, Node, Node] | None:
+    """(low, a, high) of a minimum that is min(high, max(low, a)), where the maximum is its own."""
+    if node.op == "min" and node.kind == "f":
+        for inner, high in (node.args, node.args[::-1]):
+            if inner.op == "max" and writing.uses[inner.id] == 1:
+                return inner.args[0], inner.args[1], high
+    return None
+
+
+def _operands(writing: _Writing, node: Node) -> tuple[Node, ...]:
+    """What an expression is made of."""
+    return _clamp(writing, node) or node.args
+
+
 def _expression(writing: _Writing, node: Node) -> Text:
-    args = [writing.texts[arg.id] for arg in node.args]
+    args = [writing.texts[arg.id] for arg in _operands(writing, node)]
+    if _clamp(writing, node):
+        return clamped(node, args, writing.single, writing.helpers)
     if node.op != "load":
         return operation(node, args, writing.single, writing.helpers)
     (leaf, offset), index, places = node.value, node.args[0], writing.places

@@ -162,6 +162,23 @@ def operation(node: Node, args: Sequence[Text], single: bool, helpers: dict[str,
     return Text(f"{called}({', '.join(arg.text for arg in args)})", ATOM, reads)
 
 
+#: min(high, max(low, a)), most often a
+_CLAMP = (
+    "static real clamp_real(real low, real a, real high)\n{\n"
+    "    return low < a && a < high ? a : min_real(high, max_real(low, a));\n}\n"
+)
+
+
+def clamped(node: Node, args: Sequence[Text], single: bool, helpers: dict[str, str]) -> Text:
+    """min(high, max(low, a)), of which the node is the minimum. args: low, a, high."""
+    for part in (next(arg for arg in node.args if arg.op == "max"), node):
+        name, text = _helper(part, "f", single)
+        helpers[name] = text
+    helpers["clamp_real"] = helpers.pop("clamp_real", _CLAMP)
+    reads = frozenset[str]().union(*(arg.reads for arg in args))
+    return Text(f"clamp_real({', '.join(arg.text for arg in args)})", ATOM, reads)
+
+
 def _working_kind(node: Node) -> str:
     """The kind in which an operation is done: the widest of what goes in and comes out."""
     args = node.args[1:] if node.op == "select" else node.args

@@ -1,16 +1,17 @@
 """A loop over control periods that runs compiled where it can."""
 
+import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from jaxstage.engine.build import compiler
+from jaxstage.engine.build import build, compiler
 from jaxstage.engine.compat import is_key_type
 from jaxstage.engine.kernels import kernel
-from jaxstage.engine.primitives import owned, rollout_p
-from jaxstage.engine.program import Program, row_structure, scan
+from jaxstage.engine.primitives import has_derivative, owned, rollout_p
+from jaxstage.engine.program import Program, is_real, row_structure, scan
 
 
 def program_of(
@@ -71,3 +72,34 @@ def refusal(program: Program, batched: tuple[bool, ...] = ()) -> str | None:
     except NotImplementedError as reason:
         return str(reason)
     return None
+
+
+class Report(NamedTuple):
+    """One kernel. what: ``forward``, ``tangent`` or ``pullback``; reason: why there is none, or
+    None; nodes: operations of a tick; bytes: of the library; seconds: of the compiler, 0 where
+    the cache had it; graph_seconds: to find the operations."""
+
+    what: str
+    reason: str | None
+    nodes: int = 0
+    bytes: int = 0
+    seconds: float = 0.0
+    graph_seconds: float = 0.0
+    cached: bool = False
+
+
+def describe(program: Program, what: str) -> Report:
+    """Make a kernel, of all derivatives that there are, and say how it went."""
+    own = owned(program, (False,) * len(program.leaves))
+    inputs = range(len(program.inputs))
+    moving = () if what == "forward" else tuple(i for i in inputs if is_real(program.leaves[i]))
+    if what != "forward" and not has_derivative(program, (False,) * len(program.leaves), moving):
+        return Report(what, "recorded rows: their derivative is that of the scan")
+    begin = time.perf_counter()
+    try:
+        made = kernel(program, what, own, moving)
+        found = time.perf_counter() - begin
+        built = build(made.text)
+    except NotImplementedError as reason:
+        return Report(what, str(reason))
+    return Report(what, None, made.nodes, built.bytes, built.seconds, found, built.cached)

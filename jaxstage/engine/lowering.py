@@ -11,7 +11,7 @@ from jaxstage.engine.program import Program
 from jaxstage.engine.scalar import evaluate, lifted
 from jaxstage.engine.spelling import constant
 from jaxstage.engine.statements import Cells, Known, Store, write
-from jaxstage.engine.table import Table
+from jaxstage.engine.table import WRITTEN_OUT, Table
 
 #: shared arrays of more elements stay in memory
 TABLE = 64
@@ -92,9 +92,15 @@ def _inputs(
 ) -> tuple[dict[int, Any], tuple[int, ...]]:
     steps, leaves = parts.program, program.leaves
     values: dict[int, Any] = {n: lifted(graph, v) for n, v in steps.constants.items()}
+    read = {v for step in parts.own() for v in step.reads if isinstance(v, int)}
+    read |= {v for v in steps.results if isinstance(v, int)}
     for number, leaf in enumerate(leaves):
         value = steps.arguments[number]
-        if parts.of(value) == RUN:
+        if parts.of(value) == RUN and value in read:
+            if leaf.size > WRITTEN_OUT:
+                raise NotImplementedError(
+                    f"an array of {leaf.size} numbers that each run has for itself (a stored path)"
+                )
             carried = number - program.before
             group = ("c", carried) if carried >= 0 else ("p", number)
             promised = carried >= 0 and program.finite

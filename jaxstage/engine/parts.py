@@ -79,7 +79,9 @@ def in_line(closed: Any) -> Steps:
             constants[env[var]] = value
 
         def read(var: Any) -> Any:
-            return Literally(var.val) if isinstance(var, Literal) else env[var]
+            if isinstance(var, Literal):
+                return Literally(np.asarray(var.val, var.aval.dtype))
+            return env[var]
 
         for equation in jaxpr.eqns:
             inputs = [read(v) for v in equation.invars]

@@ -69,6 +69,8 @@ def _cast_bounds(x: Node, kind: str) -> tuple[float, float]:
     if kind == "f" or x.kind != "f":
         return x.low, x.high
     whole = [edge if math.isinf(v) else math.trunc(v) for v, edge in ((x.low, low), (x.high, high))]
+    if x.nan:  # NaN becomes 0
+        whole = [min(whole[0], 0), max(whole[1], 0)]
     return min(max(whole[0], low), high), min(max(whole[1], low), high)
 
 

@@ -101,7 +101,9 @@ def scalarise(graph: Graph, jaxpr: Any, consts: Any, args: list[Any]) -> list[An
     env: dict[Any, Any] = {}
 
     def read(var: Any) -> Any:
-        return lifted(graph, var.val) if isinstance(var, Literal) else env[var]
+        if isinstance(var, Literal):
+            return lifted(graph, np.asarray(var.val, var.aval.dtype))
+        return env[var]
 
     for var, value in zip(jaxpr.constvars, consts, strict=True):
         env[var] = lifted(graph, value)
@@ -285,8 +287,10 @@ def _cond(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
 
 def _floor_quotient(g: Graph, x: Node, y: Node) -> Node:
     """The largest whole number <= x / y, for a constant y > 0."""
-    down = g.op("sub", x, g.const(y.value - 1, x.kind))
-    return g.op("div", g.op("select", g.op("lt", x, g.const(0, x.kind)), down, x), y)
+    y = g.op("cast", y, kind=x.kind)
+    whole = g.op("div", x, y)
+    below = g.op("lt", g.op("rem", x, y), g.const(0, x.kind))
+    return g.op("sub", whole, g.op("cast", below, kind=x.kind))
 
 
 def _is_floor_division(name: str, args: list[Any]) -> bool:

@@ -88,14 +88,14 @@ def write(
             else:
                 text = expression(own, [name(a) for a in own.args], single)
             lines.append(f"const {TYPES[own.kind]} {names[own.id]} = {text};")
-    places_of = [at(p.index) for p in puts]
+    placed = [(p, at(p.index)) for p in puts]
     for own in guarded:
-        together = [(p, at) for p, at in zip(puts, places_of, strict=True) if p.where is own[0].where]
-        lines += _guarded_stores(own, together, name)
-        puts = [p for p in puts if p.where is not own[0].where]
-    for put in puts:
+        where = own[0].where
+        lines += _guarded_stores(own, [p for p in placed if p[0].where is where], name)
+        placed = [p for p in placed if p[0].where is not where]
+    for put, place in placed:
         where = "every(true)" if put.where is None else name(put.where)
-        lines.append(f"put({put.array}+{put.slot}, {at(put.index)}, {where}, {name(put.value)});")
+        lines.append(f"put({put.array}+{put.slot}, {place}, {where}, {name(put.value)});")
     lines += [_stored(s, name(s.node)) for s in plain]
     return lines
 

@@ -1,0 +1,313 @@
+"""The compiled engine means what the scan means: values, derivatives, lost runs, every batch."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+import jaxstage as js
+from jaxstage.blocks import compiled, scan
+from jaxstage.engine import build as building
+from jaxstage.engine import loop as engine_loop
+from jaxstage.engine.kernels import kernel
+from jaxstage.fields import replace
+from jaxstage.metrics import tracking
+from jaxstage.rollout import compiled_form, start
+from jaxstage.studies import all_studies
+
+TICKS = 30
+#: one loop of each machine with each kind of law, coupled, with sensors, delays and observers
+LOOPS = (
+    "dfcmac-circle", "cmac-star", "sliding-heart", "cascade-circle", "asmc-s0", "smc-star-s3",
+    "af-pid-ccc-helix", "pd", "asmc-mrac-r", "smc1500-r-motor",
+)  # fmt: skip
+
+
+@functools.cache
+def case(name):
+    found = js.build(name)
+    return found._replace(loop=replace(found.loop, metric=tracking))
+
+
+def spread(tree, lanes, seed=0):
+    """The tree for many runs, within 5 %."""
+    random = np.random.default_rng(seed)
+    return jax.tree.map(
+        lambda x: jnp.asarray(np.asarray(x) * random.uniform(0.95, 1.05, (lanes, *x.shape)), x.dtype),
+        tree,
+    )
+
+
+def run(c, engine, gains, ticks=TICKS, **changes):
+    loop = replace(c.loop, engine=engine, **changes)
+    return js.simulate(loop, gains, c.scenario, c.path, ticks)
+
+
+def many(c, engine, gains, **more):
+    return jax.jit(jax.vmap(lambda g: run(c, engine, g, **more)))(gains)
+
+
+def close(a, b, tolerance):
+    """Leaf by leaf, relative to the largest number of the leaf."""
+    assert jax.tree.structure(a) == jax.tree.structure(b)
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        x, y = np.asarray(x, float), np.asarray(y, float)
+        np.testing.assert_array_equal(np.isnan(x), np.isnan(y))
+        scale = np.nanmax(np.abs(x), initial=1e-12) if x.size else 1.0
+        np.testing.assert_allclose(y / scale, x / scale, rtol=0, atol=tolerance)
+
+
+def moved(result):
+    """What a run comes to: the machine, what the law remembers, the figures. (The sliding variable
+    is what is left of two numbers that cancel.)"""
+    return result.final.state, result.final.metric, result.final.step, result.final.left_path_at
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_compiled_equals_scan(name):
+    c = case(name)
+    gains = spread(c.gains, 3)
+    # a law that switches by a sign multiplies every rounding: few ticks
+    ticks = 8 if name.startswith(("sliding", "smc1500")) else TICKS
+    expected, found = (many(c, e, gains, ticks=ticks) for e in (scan, compiled))
+    close(moved(expected), moved(found), 1e-12)
+    assert engine_loop.refusal(program(c)) is None
+
+
+def program(c, **changes):
+    loop = replace(c.loop, **changes)
+    carry = jax.eval_shape(lambda: start(loop, c.gains, c.scenario, c.path))
+    zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), carry)
+    return compiled_form(loop, c.gains, c.scenario, c.path, zeros)[0]
+
+
+def distinct():
+    """Every published loop, once where only numbers differ."""
+    seen = {}
+    for study in all_studies:
+        for entry in study.loops:
+            c = entry.build(entry.timing)
+            shapes = str(jax.tree.map(lambda x: (x.shape, x.dtype), (c.gains, c.scenario)))
+            seen.setdefault((replace(c.loop, metric=tracking), shapes), (entry.name, c))
+    return dict(seen.values())
+
+
+def test_every_published_loop_is_compiled():
+    refused = {}
+    for name, c in distinct().items():
+        reason = engine_loop.refusal(program(c))
+        if reason is not None:
+            refused[name] = reason
+    assert not refused
+
+
+@pytest.mark.parametrize("lanes", [1, 17, 64])
+def test_batches(lanes):
+    c = case("cascade-circle")
+    gains = spread(c.gains, lanes)
+    close(moved(many(c, scan, gains)), moved(many(c, compiled, gains)), 1e-12)
+
+
+def test_nested_vmap_and_one_run():
+    c = case("cascade-circle")
+    gains = spread(c.gains, 6)
+    flat = moved(many(c, compiled, gains))
+    square = jax.tree.map(lambda x: x.reshape(2, 3, *x.shape[1:]), gains)
+    nested = moved(jax.jit(jax.vmap(jax.vmap(lambda g: run(c, compiled, g))))(square))
+    close(flat, jax.tree.map(lambda x: x.reshape(6, *x.shape[2:]), nested), 0)
+    one = moved(run(c, compiled, jax.tree.map(lambda x: x[4], gains)))
+    close(jax.tree.map(lambda x: x[4], flat), one, 0)
+
+
+def test_rollouts_go_through_the_kernel_too():
+    c = case("cascade-circle")
+    gains = spread(c.gains, 5)
+    loop = replace(c.loop, engine=compiled)
+    together = js.rollouts(loop, gains, c.scenario, c.path, TICKS)
+    close(moved(many(c, compiled, gains)), moved(together), 0)
+
+
+def test_single_precision(single):
+    c = js.build("cascade-circle")
+    c = c._replace(loop=replace(c.loop, metric=tracking))
+    gains = jax.tree.map(lambda x: x.astype(jnp.float32), spread(c.gains, 3))
+    expected, found = (many(c, e, gains) for e in (scan, compiled))
+    assert found.report.ate.dtype == jnp.float32
+    close(expected.final.state, found.final.state, 1e-5)
+
+
+# --- derivatives -----------------------------------------------------------------------------
+
+
+def objective(c, engine):
+    def of(gains, plant):
+        loop = replace(c.loop, engine=engine)
+        result = js.simulate(loop, gains, replace(c.scenario, plant=plant), c.path, TICKS)
+        return result.report.ate * 1e6
+
+    return of
+
+
+@pytest.mark.parametrize("name", ["dfcmac-circle", "asmc-mrac-r", "af-pid-ccc"])
+def test_reverse_is_forward_is_that_of_the_scan(name):
+    c = case(name)
+    gains = spread(c.gains, 2)
+    scale = jax.tree.map(jnp.abs, c.gains), c.scenario.plant
+
+    def reverse(engine):
+        slope = jax.grad(objective(c, engine), argnums=(0, 1))
+        return jax.jit(jax.vmap(slope, in_axes=(0, None)))(gains, c.scenario.plant)
+
+    def along(g):
+        return jax.jvp(objective(c, compiled), (g, c.scenario.plant), scale)[1]
+
+    expected, found = reverse(scan), reverse(compiled)
+    products = jax.tree.map(lambda a, s: a * s, found, scale)
+    wanted = jax.tree.map(lambda a, s: a * s, expected, scale)
+    largest = max(float(jnp.abs(x).max()) for x in jax.tree.leaves(wanted) if x.size)
+    for x, y in zip(jax.tree.leaves(wanted), jax.tree.leaves(products), strict=True):
+        np.testing.assert_allclose(y / largest, x / largest, rtol=0, atol=1e-10)
+    total = sum(jnp.sum(x.reshape(2, -1), axis=1) for x in jax.tree.leaves(products) if x.size)
+    np.testing.assert_allclose(jax.jit(jax.vmap(along))(gains), total, rtol=1e-10)
+
+
+def test_second_derivatives_and_those_by_the_path_are_those_of_the_scan():
+    c = case("cascade-circle")
+
+    def of(engine):
+        def error(factor, shift):
+            gains = replace(c.gains, velocity_gain=c.gains.velocity_gain * factor)
+            lap = c.path.setpoint.position + shift
+            path = replace(c.path, setpoint=replace(c.path.setpoint, position=lap))
+            loop = replace(c.loop, engine=engine)
+            return js.simulate(loop, gains, c.scenario, path, 10).report.tesd * 1e6
+
+        return jax.jit(lambda x, y: (jax.grad(jax.grad(error))(x, y), jax.grad(error, 1)(x, y)))
+
+    expected, found = (of(e)(1.0, 0.0) for e in (scan, compiled))
+    assert all(abs(x) > 0 for x in expected)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_a_lost_run_is_flagged_and_leaves_no_trace_in_a_gradient():
+    c = case("cascade-circle")
+    gains = spread(c.gains, 3)
+    wild = replace(gains, position_gain=gains.position_gain.at[1].multiply(1e9))
+    expected, found = (many(c, e, wild) for e in (scan, compiled))
+    close(expected.final, found.final, 1e-9)
+    assert (np.asarray(js.lost(found.final)) == [False, True, False]).all()
+    assert np.isnan(found.report.ate[1]) and np.isfinite(found.report.ate[0])
+
+    def total(g):
+        result = many(c, compiled, g)
+        return jnp.sum(jnp.where(js.lost(result.final), 0.0, result.report.ate))
+
+    slope = jax.grad(total)(wild)
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(slope))
+    assert float(jnp.abs(slope.velocity_gain[0]).max()) > 0
+    assert not np.any(slope.velocity_gain[1])
+
+
+def test_a_broken_start_is_lost_at_once():
+    c = case("cascade-circle")
+    begin = start(c.loop, c.gains, c.scenario, c.path)
+    broken = replace(begin, state=jax.tree.map(lambda x: x * jnp.nan, begin.state))
+    for engine in (scan, compiled):
+        loop = replace(c.loop, engine=engine)
+        result = js.simulate(loop, c.gains, c.scenario, c.path, TICKS, carry=broken)
+        assert int(result.final.non_finite_at) == 0 and int(result.final.step) == TICKS
+
+
+# --- resume, record, fall back ---------------------------------------------------------------
+
+
+def test_resumed_equals_whole():
+    c = case("cascade-circle")
+    loop = replace(c.loop, engine=compiled)
+    whole = run(c, compiled, c.gains)
+    first = run(c, compiled, c.gains, ticks=11)
+    second = js.simulate(loop, c.gains, c.scenario, c.path, TICKS - 11, carry=first.final)
+    close(moved(whole), moved(second), 0)
+
+
+def test_recorded_rows():
+    c = case("cascade-circle")
+    expected, found = (
+        many(c, e, spread(c.gains, 2), metric=js.record) for e in (scan, compiled)
+    )
+    close(expected.rows, found.rows, 1e-11)
+    assert found.rows.step.dtype == expected.rows.step.dtype
+    assert found.rows.output.position.shape == (2, TICKS, 2)
+
+
+def test_paths_of_their_own_fall_back_with_a_reason():
+    c = case("cascade-circle")
+    paths = jax.tree.map(lambda x: jnp.stack([x, x]), c.path)
+    one = program(c)
+    flags = [False] * len(one.inputs) + [True] * len(one.shared) + [False] * len(one.carry)
+    assert "each run has for itself" in engine_loop.refusal(one, tuple(flags))
+    loop = replace(c.loop, engine=compiled)
+    both = jax.vmap(lambda p: js.simulate(loop, c.gains, c.scenario, p, 5).report.ate)(paths)
+    np.testing.assert_allclose(both, run(c, scan, c.gains, ticks=5).report.ate, rtol=1e-12)
+
+
+@functools.cache
+def odd_law(how):
+    """The cascade with a primitive that has no kernel."""
+    inner = case("cascade-circle").loop.controller
+
+    def control(gains, memory, setpoint, measurement, dt):
+        demand, memory = inner.control(gains, memory, setpoint, measurement, dt)
+        if how == "sort":
+            return jnp.sort(demand), memory
+        return lax.while_loop(lambda x: jnp.sum(x * x) > 1e6, lambda x: x / 2, demand), memory
+
+    return replace(inner, name=how, control=control)
+
+
+@pytest.mark.parametrize("how", ["sort", "while"])
+def test_a_law_that_cannot_be_compiled_runs_and_says_why(how):
+    c = case("cascade-circle")
+    c = c._replace(loop=replace(c.loop, controller=odd_law(how), engine=compiled))
+    told = js.explain(c.loop, c.gains, c.scenario, c.path, kernels=("forward",))
+    assert not told.compiled and f"primitive '{how}'" in told.text()
+    found = run(c, compiled, c.gains)
+    close(run(c, scan, c.gains).final, found.final, 0)
+
+
+def test_without_a_compiler_everything_works(monkeypatch):
+    monkeypatch.setattr(engine_loop, "compiler", lambda: None)
+    c = case("cascade-circle")
+    # its length is its own, so that no compiled program of another test is met
+    found, expected = (run(c, e, c.gains, ticks=TICKS + 1) for e in (compiled, scan))
+    close(expected.final, found.final, 0)
+    assert "compiler" in engine_loop.refusal(program(c))
+
+
+# --- the cache -------------------------------------------------------------------------------
+
+
+def test_a_kernel_is_built_once_and_a_damaged_one_again():
+    text = kernel(program(case("cascade-circle")), "forward", own_flags()).text
+    text += "// another file\n"
+    file = building.library_file(text)
+    file.write_bytes(b"not a library")
+    assert not building.build.__wrapped__(text).cached
+    assert building.build.__wrapped__(text).cached
+    assert not [x for x in file.parent.iterdir() if x.suffix not in ("", ".so")]
+
+
+def own_flags():
+    one = program(case("cascade-circle"))
+    return (False,) * (len(one.shared) + len(one.carry))
+
+
+def test_short_runs_are_a_scan():
+    assert js.auto.shortest > 1000 > js.compiled.shortest
+    c = case("cascade-circle")
+    text = str(jax.make_jaxpr(lambda g: run(c, js.auto, g))(c.gains))
+    assert "jaxstage_rollout" not in text
+    assert "jaxstage_rollout" in str(jax.make_jaxpr(lambda g: run(c, compiled, g))(c.gains))
