@@ -32,11 +32,7 @@ LAYERS = (
     ("check", "tick"),
     ("engine",),
     ("rollout",),
-<<<<<<< HEAD
-    ("tiles", "gradients", "stability", "testing"),
-=======
-    ("tiles", "gradients", "stability", "explain"),
->>>>>>> engine
+    ("tiles", "gradients", "stability", "testing", "explain"),
     ("batch",),
     ("studies",),
     ("plot",),
