@@ -93,7 +93,9 @@ def test_the_objective_is_the_sum_of_its_terms():
     pull = 1e-4 * np.sum((Z - searched().start()) ** 2)
     costs = sum(parts) / sum(t.weight for t in TERMS) + pull
     np.testing.assert_allclose(found.costs, costs, rtol=1e-10)
-    np.testing.assert_allclose(found.objective, np.mean(costs, axis=1), rtol=1e-10)
+    weights = [1.0] * RUNS + [0.05] * 2  # those with a wrong gain
+    expected = np.average(costs, axis=1, weights=weights)
+    np.testing.assert_allclose(found.objective, expected, rtol=1e-10)
 
 
 def test_derivatives_agree():
@@ -101,7 +103,8 @@ def test_derivatives_agree():
     reverse, forward = slopes(problem(), Z[None]), curvatures(problem(), Z[None])
     scale = np.max(np.abs(forward.gradient))
     np.testing.assert_allclose(reverse.gradient, forward.gradient, atol=1e-9 * scale)
-    np.testing.assert_allclose(forward.of_runs.mean(axis=1), forward.gradient, atol=1e-9 * scale)
+    summed = np.average(forward.of_runs, axis=1, weights=[1.0] * RUNS + [0.05] * 2)
+    np.testing.assert_allclose(summed, forward.gradient, atol=1e-9 * scale)
     check = gradient_check(problem(), Z, known=forward)
     assert check.ok and check.non_finite == 0 and np.max(check.error) < 0.02
     matrix = forward.gauss_newton[0]
@@ -143,6 +146,10 @@ def test_risk_weights():
     shares = jnp.full(4, 0.25)
     np.testing.assert_allclose(mean.weights(costs, shares), np.full((2, 4), 0.25))
     np.testing.assert_allclose(worst.weights(costs, shares), [[0, 1, 0, 0], [1, 0, 0, 0]])
+    little = jnp.array([0.3, 0.05, 0.35, 0.3])
+    np.testing.assert_allclose(worst.weights(costs, little)[0], [0, 0, 0, 1])
+    lost = worst.weights(costs.at[0, 1].set(2 * LOST), little)
+    np.testing.assert_allclose(lost[0], [0, 1, 0, 0])
     np.testing.assert_allclose(
         cvar(0.5).weights(costs, shares), [[0, 0.5, 0, 0.5], [0.5, 0, 0.5, 0]]
     )
@@ -177,10 +184,10 @@ def test_a_start_has_weights_of_its_own():
     both = with_weights(problem(), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
     found = evaluate(both, np.stack([Z, Z]), np.arange(2))
     ratio = found.columns["contour_rms_um"][0] / both.scales[0]
-    pull = 1e-4 * np.sum((Z - searched().start()) ** 2)
-    assert found.objective[0] == pytest.approx(np.mean(ratio**2) + pull)
+    pull, weights = 1e-4 * np.sum((Z - searched().start()) ** 2), [1.0] * RUNS + [0.05] * 2
+    assert found.objective[0] == pytest.approx(np.average(ratio**2, weights=weights) + pull)
     drawn = found.columns["energy_copper_J"][1] / both.scales[1]
-    assert found.objective[1] == pytest.approx(np.mean(drawn**2) + pull)
+    assert found.objective[1] == pytest.approx(np.average(drawn**2, weights=weights) + pull)
     with pytest.raises(ValueError, match=r"weights must be \(starts, 3\)"):
         with_weights(problem(), np.ones((2, 2)))
 

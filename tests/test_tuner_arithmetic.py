@@ -1,5 +1,7 @@
 """Trade-offs, gains as a file, parameters without effect, words of the command line."""
 
+from typing import Any, NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,12 +10,14 @@ from hypothesis import strategies as st
 
 import jaxstage as js
 from jaxstage.settings import read_toml
+from jaxstage.signals import Measurement
 from tuning.gains_file import TunedGain, read_tuned, to_text
 from tuning.runs import prepare
 from tuning.tuner.diagnostics import effects
 from tuning.tuner.fronts import hypervolume, knee, non_dominated, weights
 from tuning.tuner.objective import Term
 from tuning.tuner.options import default_objective, parse_gains, parse_objective, search_of
+from tuning.tuner.pictures import Pair, rule_pictures, rules_text, write_rules
 from tuning.tuner.transforms import logarithmic
 from tuning.tuner.worst_case import worst_of
 
@@ -22,6 +26,18 @@ pytestmark = pytest.mark.fast
 POINTS = st.lists(
     st.tuples(*[st.integers(0, 6).map(float)] * 3), min_size=1, max_size=12
 ).map(np.array)  # fmt: skip
+
+
+class Memory(NamedTuple):
+    """The end of a run that never was."""
+
+    memory: Any
+
+
+class Ended(NamedTuple):
+    """A run that never was."""
+
+    final: Memory
 
 
 # --- trade-offs --------------------------------------------------------------------------------
@@ -196,3 +212,36 @@ def test_wrong_objectives(text, says):
     with pytest.raises(ValueError, match="--objective") as told:
         parse_objective(text, COLUMNS)
     assert says in str(told.value) and "\n" not in str(told.value)
+
+
+# --- fuzzy rules -------------------------------------------------------------------------------
+
+
+def test_fuzzy_rules_before_and_after_as_tables_and_surfaces(tmp_path):
+    case = js.build("af-pid-ccc", js.Timing(lap_time=10.0, dt=2e-4, duration=2e-3, scored=0))
+    rules = case.gains.extra.rules
+    moved = js.replace(rules, proportional=rules.proportional.at[0, 3].set(1234.5))
+    after = js.replace(case.gains, extra=js.replace(case.gains.extra, rules=moved))
+    first = case.loop.reference.sample(case.path, jnp.zeros((), jnp.int32))
+    seen = Measurement(
+        position=first.position, velocity=first.velocity, drive_position=first.position,
+        drive_velocity=first.velocity,
+    )  # fmt: skip
+    cases = [case, case._replace(gains=after)]
+    runs = [Ended(Memory(c.loop.controller.init(c.gains, first, seen))) for c in cases]
+    pair = Pair(cases[0], cases[1], (runs[0], runs[1]))
+    write_rules(tmp_path, pair)
+    before, tuned = (tmp_path / "rules.txt").read_text().split("AFTER TUNING")
+    assert before.startswith("BEFORE TUNING") and "1234" not in before
+    assert tuned.count("1234") == 2, "at the start of a run, and at the end of this one"
+    for text in ("K_P in 1/s2", "K_I in 1/s3", "K_D in 1/s", "NB", "PB"):
+        assert text in before and text in tuned, text
+    drawn = rule_pictures(pair)
+    names = [f"rules-{q}-{w}" for w in ("before", "after")
+             for q in ("proportional", "integral", "derivative")]  # fmt: skip
+    assert list(drawn) == names
+    told = [text.get_text() for text in drawn["rules-proportional-after"].axes[0].texts]
+    assert "1234" in told or "1235" in told
+    plain = js.build("pi-circle", js.Timing(lap_time=0.02, laps=1))
+    without = Ended(Memory(()))
+    assert rules_text(Pair(plain, plain, (without, without))) is None

@@ -16,6 +16,7 @@ import pytest
 from tuning import cli
 from tuning.gains_file import read_tuned
 from tuning.runs import prepare
+from tuning.tuner.fronts import non_dominated
 
 pytestmark = pytest.mark.long
 
@@ -36,6 +37,7 @@ set = ["lap_time=0.04", "laps=1", "scored=0"]
 WORDS = ("--set", "lap_time=0.02", "--set", "laps=1", "--set", "scored=0", "--train", "train.toml")
 SMALL = ("tune", "pi-circle", *WORDS, "--gains", "c1,K:tied", "--method", "random", "--starts", "1",
          "--budget", "80", "--margin", "0")  # fmt: skip
+EXTRAS = ("--baseline", "cma", "--pareto")
 
 
 class Answer(NamedTuple):
@@ -100,7 +102,7 @@ def shared(tmp_path_factory):
 def tuned(command, shared):
     """The answer about the shared tuning."""
     if not shared.exists():
-        result = command(*SMALL, "--baseline", "cma", "--out", shared, "--json")
+        result = command(*SMALL, *EXTRAS, "--out", shared, "--json")
         assert result.status == 0, result.err
         assert result.json == strict_json((shared / "tune.json").read_text())
     return strict_json((shared / "tune.json").read_text())
@@ -149,8 +151,7 @@ def keys_of(found):
 
 def test_the_readme_documents_every_key(command, shared):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    front = ("columns", "points", "weights", "on_front", "suggested", "hypervolume", "reference")
-    for key in {*keys_of(tuned(command, shared)), *front}:
+    for key in keys_of(tuned(command, shared)):
         assert f"`{key}`" in readme, f"README does not say what {key} is"
 
 
@@ -182,8 +183,32 @@ def test_history_and_pictures(command, shared):
     assert methods == {"random", "cma"}
     drawn = {file.name for file in shared.glob("*.png")}
     assert drawn == {
-        "error.png", "history.png", "parameters.png", "held-out.png", "baseline.png",
+        "error.png", "history.png", "parameters.png", "held-out.png", "baseline.png", "pareto.png",
     }  # fmt: skip
+
+
+def test_trade_offs(command, shared):
+    """What is on the front, the suggestion, and gains to go with every point."""
+    front = tuned(command, shared)["pareto"]
+    columns = ["contour_rms_um", "energy_J", "chattering_A"]
+    assert front["columns"] == columns
+    points = np.array([[one["figures"][c] for c in columns] for one in front["points"]])
+    kept = [one["on_front"] for one in front["points"]]
+    assert kept == non_dominated(points).tolist() and 0 <= front["hypervolume"] < 1
+    (suggested,) = [i for i, one in enumerate(front["points"]) if one["suggested"]]
+    assert kept[suggested]
+    shares = np.array([[one["weights"][c] for c in columns] for one in front["points"][1:]])
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    for column, corner in zip(columns, np.eye(3), strict=True):
+        nearest = int(np.argmax(shares @ corner)) + 1
+        start = front["points"][0]["figures"][column]
+        assert front["points"][nearest]["figures"][column] <= start * (1 + 1e-9), column
+    with (shared / "pareto" / "pareto.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["on_front"] == "True" for row in rows] == kept
+    words = [word for word in WORDS[:6] if word != "--set"]
+    for i in range(len(points)):
+        prepare("pi-circle", words, gains_file=shared / "pareto" / f"gains-{i}.toml")
 
 
 def test_the_same_again_goes_on_and_another_configuration_says_what_differs(
@@ -195,10 +220,18 @@ def test_the_same_again_goes_on_and_another_configuration_says_what_differs(
     kept[-1].unlink()
     refused = command(*SMALL, "--out", shared)
     assert refused.status == 2 and "holds this tuning already: --resume" in refused.err
-    result = command(*SMALL, "--baseline", "cma", "--out", shared, "--resume")
+    result = command(*SMALL, *EXTRAS, "--out", shared, "--resume")
     assert result.status == 0, result.err
     again = strict_json((shared / "tune.json").read_text())
-    for key in ("gains", "after", "held_out", "units", "baselines", "configuration_sha256"):
+    for key in (
+        "gains",
+        "after",
+        "held_out",
+        "units",
+        "baselines",
+        "pareto",
+        "configuration_sha256",
+    ):
         assert again[key] == whole[key], key
     for text in ("pi-circle", "random, 3 parameters", "held out", "slope x", "tune.json"):
         assert text in result.out, text

@@ -1,6 +1,7 @@
 """Training and held-out runs: what the defaults are, what a file says, what is refused."""
 
 import functools
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -190,6 +191,17 @@ def test_a_file_says_what_it_says_and_defaults_the_rest(tmp_path):
     assert train.starts == ({"offset": [1e-5, 0.0]},) and train.spreads == asked().spreads
     assert held_out == default().held_out._replace(plants=9, noise_seeds=2)
     assert series(set_table(train), {})[1].case.window.ticks == 1000
+
+
+def test_the_file_of_the_documentation_is_read(tmp_path):
+    text = (Path(__file__).parents[1] / "docs" / "tuning.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    file = tmp_path / "train.toml"
+    file.write_text(block)
+    train, held_out = read_sets(file, asked("dfcmac-circle"))
+    assert train.contours == (Contour("dfcmac-circle", ("lap_time=1",)),)
+    assert train.horizons == (1.0,) and train.skip == 0.2 and len(train.spreads) == 1
+    assert held_out.plants == 100 and held_out.dealt
 
 
 WRONG = {

@@ -66,7 +66,8 @@ def cells(row: Row, found: dict[str, Any]) -> list[str]:
     before, after = (f"{held[name]['value']:.4g}" for name in ("before", "after"))
     return [
         row.name, row.loop, found["method"], str(found["n"]), f"{found['units']:.0f}",
-        f"{found['seconds']:.0f}", before, after, told, f"{saved:+.2f}" if energy else "", str(held["lost"]),
+        f"{found['seconds']:.0f}", before, after, told,
+        f"{saved:+.2f}" if energy else "", str(held["lost"]),
         "yes" if found["accepted"] else "no",
     ]  # fmt: skip
 

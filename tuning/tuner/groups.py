@@ -14,16 +14,19 @@ from jaxstage.studies import Case
 from tuning.scenarios import Batch
 from tuning.scenarios import batch as make_batch
 
+#: what a run with a wrong gain counts beside the others, while it is not lost
+MARGIN_WEIGHT = 0.05
+
 
 class Group(NamedTuple):
-    """Training runs of one contour and horizon. case: its gains are those before. weight: how much
-    each of its runs counts."""
+    """Training runs of one contour and horizon. case: its gains are those before. weights: how much
+    each run counts, (runs,)."""
 
     name: str
     case: Case
     batch: Batch
     runs: int
-    weight: float = 1.0
+    weights: np.ndarray
 
 
 def make_group(
@@ -32,15 +35,18 @@ def make_group(
 ) -> Group:  # fmt: skip
     """Training runs of a case: drawn values path -> (runs, *shape) and seeds (runs,).
 
-    margin: x adds two runs of the first plant whose drive gives 1 - x and 1 + x times what is
-    commanded, so that gains near the edge of stability are lost in training. Raises ValueError for
+    weight: how much each run counts. margin: x adds two runs of the first plant whose drive gives
+    1 - x and 1 + x times what is commanded, so that gains near the edge of stability are lost in
+    training; as long as they hold they count `MARGIN_WEIGHT` of the others. Raises ValueError for
     what cannot be simulated.
     """
     if not 0 <= margin < 1:
         raise ValueError(f"margin = {margin:g}: must be in 0..1")
     if not weight > 0:
         raise ValueError(f"weight = {weight:g} of {name}: must be > 0")
+    weights = np.full(len(seeds), float(weight))
     if margin:
+        weights = np.append(weights, [MARGIN_WEIGHT * weight] * 2)
         loop = replace(case.loop, drive=amplified(case.loop.drive))
         params = Amplified(factor=jnp.ones(()), drive=case.scenario.drive)
         case = case._replace(loop=loop, scenario=replace(case.scenario, drive=params))
@@ -49,7 +55,7 @@ def make_group(
     drawn = make_batch(case, values, seeds)
     trees = (case.gains, drawn.scenario, drawn.path)
     check(case.loop, *trees, spread_axes(drawn.in_axes, trees))
-    return Group(name, case, drawn, len(seeds), weight)
+    return Group(name, case, drawn, len(seeds), weights)
 
 
 def _behind_amplifier(

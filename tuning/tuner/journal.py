@@ -80,7 +80,7 @@ def fingerprint(problem: Problem) -> str:
         for part in (e.low, e.high, e.before)
     ]
     runs = [
-        (g.name, g.case.name, g.case.loop.dt, g.case.window, g.weight, g.runs)
+        (g.name, g.case.name, g.case.loop.dt, g.case.window, g.weights.tobytes(), g.runs)
         for g in problem.groups
     ]
     goals = [goal.text for goal in problem.goals]

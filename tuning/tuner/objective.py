@@ -69,7 +69,9 @@ def _tail(level: float) -> Callable[[Array, Array], Array]:
 
 
 def _worst(costs: Array, shares: Array) -> Array:
-    best = jnp.argmax(costs, axis=-1)
+    """Runs that count little are the worst only when they are lost."""
+    counts = (shares > 0.5 * jnp.max(shares))[None] | (costs >= LOST)
+    best = jnp.argmax(jnp.where(counts, costs, jnp.zeros_like(costs)), axis=-1)
     return (jnp.arange(costs.shape[-1])[None] == best[:, None]).astype(costs.dtype)
 
 

@@ -60,7 +60,7 @@ def pictures(folder: Path, outcome: Outcome, extras: Extras, pair: Pair) -> list
         drawn["baseline"] = tuning.history(_traces([first, *extras.baselines]), footer)
     if extras.front is not None:
         drawn["pareto"] = _front(extras.front, footer)
-    drawn |= _rules(pair)
+    drawn |= rule_pictures(pair)
     files = [folder / f"{name}.png" for name in drawn]
     for file, figure in zip(files, drawn.values(), strict=True):
         save(figure, file)
@@ -129,7 +129,7 @@ def _front(front: Front, footer: str) -> sweep.Figure:
     )  # fmt: skip
 
 
-def _rules(pair: Pair) -> dict[str, sweep.Figure]:
+def rule_pictures(pair: Pair) -> dict[str, sweep.Figure]:
     """What fuzzy rules infer, before and after."""
     drawn = {}
     for case, when in ((pair.before, "before"), (pair.after, "after")):

@@ -138,7 +138,7 @@ def _refuse_undefined(problem: Problem, before: Evaluation) -> None:
 
 
 def _scales(problem: Problem, before: Evaluation) -> np.ndarray:
-    each = np.concatenate([np.full(g.runs, g.weight) for g in problem.groups])
+    each = np.concatenate([group.weights for group in problem.groups])
     scales = []
     for term in problem.terms:
         value = before.columns[term.column][0]

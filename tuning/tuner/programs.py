@@ -104,35 +104,59 @@ class _Costs(NamedTuple):
     columns: dict[str, Array]
 
 
-def _costs(
-    parts: tuple[SearchSpace, Group, Recipe, tuple[Term, ...], tuple[Goal, ...]],
-    segment: int, z: Array, weights: Array, scales: Array, penalty: Array, data: Any,
-) -> _Costs:  # fmt: skip
-    space, group, made, terms, goals = parts
-    runs = _simulate(space, group, made, segment, z, data)
-    shape = (len(z), group.runs)
-    share = runs.lost.reshape(shape)
-    fast = jnp.maximum(_fast(space, group, z), 1.0)[:, None]
-    share = jnp.where(fast > 1, jnp.zeros_like(share), share)
+class _Parts(NamedTuple):
+    """What is fixed about the runs of a group. segment: ticks between checkpoints."""
+
+    space: SearchSpace
+    group: Group
+    made: Recipe
+    terms: tuple[Term, ...]
+    goals: tuple[Goal, ...]
+    segment: int
+
+
+class _Numbers(NamedTuple):
+    """Weights (m, terms), scales (terms,), penalty ()."""
+
+    weights: Array
+    scales: Array
+    penalty: Array
+
+
+def _residuals(
+    parts: _Parts, z: Array, numbers: _Numbers, measured: Measured, violations: list[Array]
+) -> Array:
+    """All whose squares add up to the cost of a run, (m, runs, pieces)."""
+    shape = (len(z), parts.group.runs)
+    weights = numbers.weights
+    roots = jnp.sqrt(weights / jnp.sum(weights, axis=-1, keepdims=True))
+    found = []
+    for t, term in enumerate(parts.terms):
+        value = measured.pieces.get(term.column, measured.columns[term.column])
+        found.append(value.reshape(*shape, -1) / numbers.scales[t] * roots[:, t, None, None])
+    for value in violations:
+        over = jnp.maximum(value + TIGHT, jnp.zeros_like(value))
+        found.append(jnp.sqrt(numbers.penalty) * over[..., None])
+    moved = math.sqrt(PULL) * (z - jnp.asarray(parts.space.start(), z.dtype)[None])
+    return jnp.concatenate(
+        [*found, jnp.broadcast_to(moved[:, None], (*shape, z.shape[1]))], axis=-1
+    )
+
+
+def _costs(parts: _Parts, z: Array, numbers: _Numbers, data: Any) -> _Costs:
+    runs = _simulate(parts.space, parts.group, parts.made, parts.segment, z, data)
+    shape = (len(z), parts.group.runs)
+    fast = jnp.maximum(_fast(parts.space, parts.group, z), 1.0)[:, None]
+    share = jnp.where(fast > 1, jnp.zeros(shape, z.dtype), runs.lost.reshape(shape))
     gone = ~jnp.isnan(share)
     columns = {name: value.reshape(shape) for name, value in runs.measured.columns.items()}
-    roots = jnp.sqrt(weights / jnp.sum(weights, axis=-1, keepdims=True))
-    residuals = []
-    for t, term in enumerate(terms):
-        value = runs.measured.pieces.get(term.column, columns[term.column])
-        residuals.append(value.reshape(*shape, -1) / scales[t] * roots[:, t, None, None])
-    missed = [goal.violation(columns) for goal in goals]
-    for value in missed:
-        over = jnp.maximum(value + TIGHT, jnp.zeros_like(value))
-        residuals.append(jnp.sqrt(penalty) * over[..., None])
-    moved = jnp.sqrt(jnp.asarray(PULL, z.dtype)) * (z - jnp.asarray(space.start(), z.dtype)[None])
-    residuals.append(jnp.broadcast_to(moved[:, None], (*shape, z.shape[1])))
+    missed = [goal.violation(columns) for goal in parts.goals]
+    residuals = _residuals(parts, z, numbers, runs.measured, missed)
     none = jnp.zeros(shape, z.dtype)
     barrier = LOST * (2.0 - jnp.where(gone, share, none) + jnp.log(fast))
     largest = jnp.max(jnp.stack(missed), axis=0) if missed else none - 1
-    every = jnp.concatenate(residuals, axis=-1)
     return _Costs(
-        residuals=jnp.where(gone[..., None], jnp.zeros_like(every), every),
+        residuals=jnp.where(gone[..., None], jnp.zeros_like(residuals), residuals),
         lost=jnp.where(gone, barrier, none),
         violation=jnp.where(gone, jnp.full_like(none, jnp.inf), largest),
         share=share,
@@ -145,19 +169,17 @@ def make_programs(
     terms: tuple[Term, ...], goals: tuple[Goal, ...], risk: Risk,
 ) -> Programs:  # fmt: skip
     """The programs of a problem; made: what the runs of each group compute."""
-    parts = [
-        (space, group, one, terms, goals) for group, one in zip(groups, made, strict=True)
-    ]  # fmt: skip
-    each = np.concatenate([np.full(group.runs, group.weight) for group in groups])
+    pairs = list(zip(groups, made, strict=True))
+    plain = [_Parts(space, group, one, terms, goals, 0) for group, one in pairs]
+    segmented = [p._replace(segment=math.isqrt(p.group.case.window.ticks)) for p in plain]
+    each = np.concatenate([group.weights for group in groups])
     shares = each / each.sum()
-    segments = [math.isqrt(group.case.window.ticks) for group in groups]
 
-    def costs(segmented: bool, z: Array, *arguments: Any) -> tuple[list[_Costs], Array, Array]:
+    def costs(parts: list[_Parts], z: Array, *arguments: Any) -> tuple[list[_Costs], Array, Array]:
         """Those of each group, then c (m, runs) and the violation (m,) of all."""
-        weights, scales, penalty, data = arguments
+        *numbers, data = arguments
         found = [
-            _costs(part, segment if segmented else 0, z, weights, scales, penalty, own)
-            for part, segment, own in zip(parts, segments, data, strict=True)
+            _costs(part, z, _Numbers(*numbers), own) for part, own in zip(parts, data, strict=True)
         ]
         summed = _joined(*(jnp.sum(c.residuals**2, axis=-1) + c.lost for c in found))
         return found, summed, jnp.max(_joined(*(c.violation for c in found)), axis=1)
@@ -166,7 +188,7 @@ def make_programs(
         return risk.weights(jax.lax.stop_gradient(every), jnp.asarray(shares, every.dtype))
 
     def evaluate(z: Array, *arguments: Any) -> tuple[Any, ...]:
-        found, every, violation = costs(False, z, *arguments)
+        found, every, violation = costs(plain, z, *arguments)
         lengths = [group.case.window.ticks * group.case.loop.dt for group in groups]
         lost = [c.share * length for c, length in zip(found, lengths, strict=True)]
         columns = jax.tree.map(_joined, *(c.columns for c in found))
@@ -174,7 +196,7 @@ def make_programs(
 
     def slopes(z: Array, *arguments: Any) -> tuple[Array, ...]:
         def total(z: Array) -> tuple[Array, Any]:
-            _, every, violation = costs(True, z, *arguments)
+            _, every, violation = costs(segmented, z, *arguments)
             objective = jnp.sum(omega(every) * every, axis=1)
             return jnp.sum(objective), (objective, violation)
 
@@ -186,7 +208,7 @@ def make_programs(
         _check_memory(groups, made, len(directions) * len(z))
 
         def residuals(z: Array) -> tuple[list[Array], Any]:
-            found, every, violation = costs(False, z, *arguments)
+            found, every, violation = costs(plain, z, *arguments)
             values = [c.residuals for c in found]
             return values, (values, every, violation)
 
@@ -202,11 +224,12 @@ def make_programs(
         slope, (values, every, violation) = tangents(z, directions, *arguments)
         weight = omega(every)
         ends = np.cumsum([group.runs for group in groups])[:-1].tolist()
-        pairs = list(zip(values, slope, strict=True))
-        of_runs = [2 * jnp.einsum("imsp,msp->msi", dr, r) for r, dr in pairs]
+        of_runs = [
+            2 * jnp.einsum("imsp,msp->msi", dr, r) for r, dr in zip(values, slope, strict=True)
+        ]
         matrices = [
             2 * jnp.einsum("imsp,jmsp,ms->mij", dr, dr, w)
-            for (_, dr), w in zip(pairs, jnp.split(weight, ends, axis=1), strict=True)
+            for dr, w in zip(slope, jnp.split(weight, ends, axis=1), strict=True)
         ]
         gradients = _joined(*of_runs)
         gradient = jnp.sum(weight[..., None] * gradients, axis=1)
