@@ -146,6 +146,15 @@ def test_sweep_replay_and_their_report(command, place, monkeypatch):
     assert "cascade-circle gains.toml" in reader.text
 
 
+def test_tune(command, place, monkeypatch):
+    """The words are understood; what a tuning does and reports is in test_tuner_cli."""
+    plans = []
+    monkeypatch.setattr("tuning.tuner.cli._tune", lambda plan, out, *_: plans.append((plan, out)))
+    example(command, "tune", place, monkeypatch)
+    ((plan, out),) = plans
+    assert plan.table["loop"] == "pi-circle" and plan.table["budget"] == 20 and out.name == "tuned"
+
+
 def test_compare_and_its_report(command, place, monkeypatch):
     study = small_study(10.5)
     monkeypatch.setattr("tuning.comparisons.known_studies", lambda: (study,))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import pytest
+from test_front import read
 
 from tuning import cli
 from tuning.gains_file import read_tuned
@@ -238,6 +239,38 @@ def test_the_same_again_goes_on_and_another_configuration_says_what_differs(
     other = command(*SMALL, "--seed", "3", "--resume", "--out", shared)
     assert other.status == 2 and other.err.count("\n") == 1
     assert "holds a tuning of another configuration; seed: 0 -> 3; " in other.err
+
+
+# --- reports -------------------------------------------------------------------------------------
+
+
+def test_the_report_of_a_tuning(command, shared):
+    found = tuned(command, shared)
+    assert command("report", shared).status == 0
+    reader = read((shared / "report.html").read_text(encoding="utf-8"))
+    shown = reader.text
+    first = "Accepted: the gains" if found["accepted"] else f"NOT accepted: {found['refused'][0]}"
+    order = (first, "contour rms", "objective", "Gains", "Pictures", "What the", "Settings")
+    places = [next(i for i, text in enumerate(shown) if text.startswith(t)) for t in order]
+    assert places == sorted(places), "verdict first"
+    held = next(text for text in shown if "on 3 plants never seen" in text)
+    assert f"{100 * found['held_out']['change']['value']:+.1f} %" in held
+    assert set(reader.pictures) == {"error", "history", "parameters", "held-out", "baseline"}
+    assert reader.captions == len(reader.pictures)
+    for label, one in found["gains"].items():
+        row = shown.index(label.removeprefix("gains."))
+        assert shown[row + 1 : row + 4] == [one["symbol"], f"{one['value']:.4g}", one["unit"]]
+        assert shown[row + 5] == f"{one['before']:.4g}"
+    (file,) = shared.glob("*gains.toml")
+    assert file.read_text(encoding="utf-8").strip() in "\n".join(shown)
+    assert f"jaxstage {found['version']}, jax {jax.__version__}" in shown
+    assert shown[shown.index("seed") + 1] == "0"
+
+
+def test_a_stopped_tuning_is_told_to_go_on(command, tmp_path):
+    (tmp_path / "tune.toml").write_text("jaxstage = 0\n", encoding="utf-8")
+    answer = command("report", tmp_path)
+    assert answer.status == 2 and "with --resume finishes it" in answer.err
 
 
 # --- kill -9 -------------------------------------------------------------------------------------

@@ -197,7 +197,7 @@ def compare(
 
 @app.command(epilog=_example("report"))
 def report(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run, a comparison or a sweep.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of a run, comparison, sweep or tuning.")],
     out: Annotated[
         Path | None, typer.Option(help="File to write; report.html in the folder if left out.")
     ] = None,

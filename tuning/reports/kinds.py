@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from tuning.reports import comparison, single, sweep
+from tuning.reports import comparison, single, sweep, tuned
 from tuning.reports.page import Page, html
 from tuning.results import write_text
 
@@ -29,6 +29,7 @@ KINDS = (
     Kind("run", "run.json", single.read),
     Kind("comparison", "compare.json", comparison.read),
     Kind("sweep", "sweep.toml", sweep.read),
+    Kind("tuning", "tune.toml", tuned.read),
 )
 
 

@@ -4,7 +4,7 @@ import base64
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jinja2
 
@@ -71,3 +71,10 @@ def number(value: float | None) -> str:
     if value is None:
         return "–"
     return f"{value:.4g}"
+
+
+def interval(stated: Mapping[str, Any] | None) -> str:
+    """An estimate with its interval, a dash where there is none."""
+    if not stated:
+        return "–"
+    return f"{number(stated['value'])} ({number(stated['low'])} to {number(stated['high'])})"

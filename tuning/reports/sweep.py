@@ -9,7 +9,7 @@ from typing import Any
 import tomli_w
 
 from jaxstage.metrics.table import split_key
-from tuning.reports.page import Page, Table, number, pictures
+from tuning.reports.page import Page, Table, interval, number, pictures
 
 Found = Mapping[str, Any]
 
@@ -61,7 +61,7 @@ def _verdict(found: Found) -> Iterator[str]:
             claim = loop["claim"]
             parts.append(f"at least {100 * claim['target']:g} %: {claim['verdict']}")
         if stated and stated["p95"]:
-            parts.append(f"95 % of the plants stay below {_interval(stated['p95'])} {unit} {name}")
+            parts.append(f"95 % of the plants stay below {interval(stated['p95'])} {unit} {name}")
         parts += [f"{lost} of {loop['runs']} runs were lost"] if lost else []
         yield f"{loop['loop']}: {'; '.join(parts) or 'too few runs to state anything'}."
 
@@ -86,7 +86,7 @@ def _answers(found: Found) -> Iterator[Table]:
             title="One law against another, on the same plants",
             head=("first", "second", "plants", f"first - second, {unit}", "first is smaller"),
             rows=tuple(
-                (c["first"], c["second"], str(c["plants"]), _interval(c["difference"]),
+                (c["first"], c["second"], str(c["plants"]), interval(c["difference"]),
                  _percent(c["better"]))
                 for c in found["comparisons"]
             ),
@@ -97,7 +97,7 @@ def _answers(found: Found) -> Iterator[Table]:
 def _stated(loop: Found, key: str) -> str:
     """A statistic with its interval, or why there is none."""
     found = (loop["statistics"] or {}).get(key)
-    return _interval(found) if found else loop["reasons"].get(key, "–")
+    return interval(found) if found else loop["reasons"].get(key, "–")
 
 
 def _details(found: Found, table: Found) -> Iterator[Table]:
@@ -172,9 +172,3 @@ def _percent(share: Found | None) -> str:
     if not share:
         return "–"
     return f"{share['value']:.2%} ({share['low']:.2%} to {share['high']:.2%})"
-
-
-def _interval(stated: Found | None) -> str:
-    if not stated:
-        return "–"
-    return f"{number(stated['value'])} ({number(stated['low'])} to {number(stated['high'])})"
