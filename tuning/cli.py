@@ -1,8 +1,9 @@
-"""The command line: ``jaxstage list``, ``run``, ``compare``, ``tune``, ``sweep``, ..."""
+"""The command line: ``jaxstage demo``, ``list``, ``run``, ``compare``, ``tune``, ``sweep``, ..."""
 
 import json
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,7 @@ from tuning.tuner import cli as tune_cli
 INTERRUPTED = 130
 #: what ``--help`` of each command ends with
 EXAMPLES = {
+    "demo": "jaxstage demo --out shown",
     "list": "jaxstage list",
     "run": "jaxstage run dfcmac-circle --set lap_time=1 --set laps=1 --out out",
     "compare": "jaxstage compare fuzzy-cmac --out compared",
@@ -74,6 +76,23 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
         print(__version__)
         raise typer.Exit()
+
+
+@app.command(epilog=_example("demo"))
+def demo(
+    out: Annotated[
+        Path, typer.Option(help="Folder of the demo; the same again goes on with it.")
+    ] = Path("demo"),
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Two laws tuned and tested on other plants, one report."""
+    from tuning.demo.cli import demo as run_demo
+
+    def call(words: Sequence[str]) -> None:
+        if app(list(words), standalone_mode=False) == INTERRUPTED:
+            raise KeyboardInterrupt
+
+    run_demo(out, as_json, call)
 
 
 @app.command("list", epilog=_example("list"))
@@ -197,7 +216,9 @@ def compare(
 
 @app.command(epilog=_example("report"))
 def report(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run, comparison, sweep or tuning.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of a run, comparison, sweep, tuning or demo.")
+    ],
     out: Annotated[
         Path | None, typer.Option(help="File to write; report.html in the folder if left out.")
     ] = None,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from tuning.reports import comparison, single, sweep, tuned
+from tuning.reports import comparison, demo, single, sweep, tuned
 from tuning.reports.page import Page, html
 from tuning.results import write_text
 
@@ -30,6 +30,7 @@ KINDS = (
     Kind("comparison", "compare.json", comparison.read),
     Kind("sweep", "sweep.toml", sweep.read),
     Kind("tuning", "tune.toml", tuned.read),
+    Kind("demo", "demo.toml", demo.read),
 )
 
 
