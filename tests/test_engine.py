@@ -16,6 +16,7 @@ from jaxstage.engine.kernels import kernel
 from jaxstage.fields import replace
 from jaxstage.metrics import tracking
 from jaxstage.rollout import compiled_form, start
+from jaxstage.sensors import Noisy, ideal_sensor, noisy
 from jaxstage.studies import all_studies
 
 TICKS = 30
@@ -142,6 +143,42 @@ def test_single_precision(single):
     close(expected.final.state, found.final.state, 1e-5)
 
 
+def elementary(x):
+    y = jnp.where(jnp.isfinite(x), jnp.abs(x) + 1e-3, 2.0)
+    return jnp.stack([
+        jnp.exp(x), jnp.tanh(x), jnp.expm1(x), jax.nn.sigmoid(x), jnp.log(y), jnp.log1p(y),
+        jnp.sqrt(y), y**0.7, jnp.sin(x), jnp.cos(x), jnp.arctan2(x, y), jnp.floor(x), jnp.round(x),
+        jnp.sign(x), jnp.maximum(x, 0.5), jnp.minimum(0.5, x), jnp.clip(x, -y, y), x % 3.0,
+        (jnp.clip(x, -1e6, 1e6).astype(jnp.int32) // 7 * 3 + 16777217).astype(x.dtype),
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize(("dtype", "ulps"), [(jnp.float64, 8), (jnp.float32, 8)])
+def test_elementary_functions_are_accurate_and_keep_nan(dtype, ulps):
+    size = np.concatenate([np.logspace(-9, 1.9, 60), [0.0, 1e-30, np.inf]])
+    x = jnp.asarray(np.concatenate([size, -size, [np.nan]]), dtype)
+
+    def step(static, inputs, shared, carry):
+        return elementary(inputs), None
+
+    def one(x):
+        start = jnp.zeros(19, dtype)
+        program, leaves = engine_loop.program_of(step, None, x, (), start)
+        assert engine_loop.refusal(program) is None
+        return engine_loop.rollout(program, leaves, 1)[0]
+
+    found = np.asarray(jax.jit(jax.vmap(one))(x), float)
+    wanted = np.asarray(jax.vmap(elementary)(x.astype(jnp.float64)), float)
+    if dtype == jnp.float32:
+        wanted = wanted.astype(np.float32).astype(float)
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(wanted))
+    tolerance = ulps * float(jnp.finfo(dtype).eps)
+    tiny = float(jnp.finfo(dtype).tiny)
+    finite, infinite = np.isfinite(wanted), np.isinf(wanted)
+    np.testing.assert_array_equal(found[infinite], wanted[infinite])
+    np.testing.assert_allclose(found[finite], wanted[finite], rtol=tolerance, atol=tiny)
+
+
 # --- derivatives -----------------------------------------------------------------------------
 
 
@@ -253,6 +290,16 @@ def test_paths_of_their_own_fall_back_with_a_reason():
     loop = replace(c.loop, engine=compiled)
     both = jax.vmap(lambda p: js.simulate(loop, c.gains, c.scenario, p, 5).report.ate)(paths)
     np.testing.assert_allclose(both, run(c, scan, c.gains, ticks=5).report.ate, rtol=1e-12)
+
+
+def test_random_noise_is_a_scan_with_its_reason():
+    c = case("cascade-circle")
+    shaken = Noisy(noise=jnp.asarray(1e-7), sensor=())
+    noise = c._replace(
+        loop=replace(c.loop, sensor=noisy(ideal_sensor)),
+        scenario=replace(c.scenario, sensor=shaken),
+    )
+    assert "random" in str(engine_loop.refusal(program(noise)))
 
 
 @functools.cache
