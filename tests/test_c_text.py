@@ -15,7 +15,7 @@ from jaxstage.engine.c_controller import trace
 from jaxstage.engine.c_source import source
 from jaxstage.fields import pytree, replace, signal
 from jaxstage.signals import Measurement, Setpoint
-from tests.c_driver import drive, identity
+from c_driver import drive, identity
 
 pytestmark = [
     pytest.mark.fast,

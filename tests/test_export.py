@@ -19,8 +19,8 @@ from jaxstage.engine.export import Recorded, c_files
 from jaxstage.fields import replace
 from jaxstage.signals import Measurement, Setpoint
 from jaxstage.studies import all_studies, build
-from tests.c_driver import SANE, STRICT, drive, identity, law_files, run, written
-from tests.cortex_m4 import machine
+from c_driver import SANE, STRICT, drive, identity, law_files, run, written
+from cortex_m4 import machine
 from tuning import cli
 from tuning.exports import recorded
 

@@ -160,6 +160,8 @@ def look(g: Graph, nodes: list[Node], place: Any, at: list[Index]) -> Node | Non
         return None
     if first.op == "in":
         return _loaded(g, nodes, place, at)
+    if first.op == "const" and first.kind == "i":
+        return _counted(g, nodes, place, at)
     if first.value is not None or any(len(n.args) != len(first.args) for n in nodes):
         return None
     args = []
@@ -169,6 +171,20 @@ def look(g: Graph, nodes: list[Node], place: Any, at: list[Index]) -> Node | Non
             return None
         args.append(found)
     return g.op(first.op, *args, kind=first.kind)
+
+
+def _counted(g: Graph, nodes: list[Node], place: _Place, at: list[Index]) -> Node | None:
+    """Constants that count the elements are the index itself."""
+    strides = [math.prod(place.shape[d + 1 :]) for d in place.dims]
+    zero = nodes[0].value
+    for node, v in zip(nodes, at, strict=True):
+        ahead = sum(s * (i - j) for s, i, j in zip(strides, v, at[0], strict=True))
+        if node.value != zero + ahead:
+            return None
+    _, index = flat_index(place)
+    fixed = [s.low == s.high for s in place.starts]
+    start = sum(0 if f else s * i for f, s, i in zip(fixed, strides, at[0], strict=True))
+    return g.op("add", index, g.const(zero - start, "i"))
 
 
 def _loaded(g: Graph, nodes: list[Node], place: _Place, at: list[Index]) -> Node | None:

@@ -184,6 +184,10 @@ def _ordered(name: str) -> Any:
         x, y = a
         if x.nan or y.nan:
             return None
+        if name == "eq" and x is y:
+            return g.const(True, "b")
+        if name == "eq" and kind == "b" and y.op == "const" and _chosen(x):
+            return _which(g, x, y.value)
         if name == "lt":
             sure, never = x.high < y.low, x.low >= y.high
         elif name == "le":
@@ -195,6 +199,16 @@ def _ordered(name: str) -> Any:
         return g.const(sure, "b") if sure or never else None
 
     return rule
+
+
+def _chosen(node: Node) -> bool:
+    return node.op == "select" and node.kind != "f" and all(n.op == "const" for n in node.args[1:])
+
+
+def _which(g: Any, node: Node, value: Any) -> Node:
+    """(c ? p : q) == value, for constants p and q."""
+    yes, no = (n.value == value for n in node.args[1:])
+    return g.op("select", node.args[0], g.const(yes, "b"), g.const(no, "b"))
 
 
 def _flipped(name: str) -> Any:

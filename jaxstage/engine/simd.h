@@ -165,6 +165,7 @@ INLINE vec with_sign(vec x, vec s) { return (vec)(((ints)x & ~SIGN) | ((ints)s &
 INLINE ints magnitude(ints x) { return pick(lt(x, same(0)), -x, x); }
 INLINE vec sign(vec x) { return pick(gt(x, all(0)), all(1), pick(lt(x, all(0)), all(-1), x)); }
 INLINE ints sign(ints x) { return pick(gt(x, same(0)), same(1), pick(lt(x, same(0)), same(-1), x)); }
+INLINE vec or_zero(vec x) { return pick(eq(x, x), x, all(0)); }  // in place of NaN
 INLINE ints truncated(vec x) { return __builtin_convertvector(x, ints); }
 INLINE ints truncated(vec x, real low, real high) {  // saturating; NaN gives 0
   ints r = truncated(smaller(all(high), larger(all(low), x)));

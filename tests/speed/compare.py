@@ -141,6 +141,7 @@ def report(results: list[Result]) -> str:
         "wall time; best of runs taken in turn, calls as a user makes them (checks of the input\n"
         "included). all: every default metric (C++ keeps ATE only). ATE diff.: the largest\n"
         "relative difference of any run from C++. comp.: first call of engine, rollouts and vmap\n"
-        "beyond a later one, two at a time. jaxstage looks for lost runs at every tick, C++ not."
+        "beyond a later one, two at a time. jaxstage also looks for lost runs at every tick; C++\n"
+        "does not."
     )
     return table("jaxstage against C++", head, [_cells(r) for r in results], note)
