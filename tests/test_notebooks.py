@@ -14,8 +14,8 @@ SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
 SMALL = {
     "02_contours_and_timing": "FEEDS = (4000.0,)",
     "03_published_systems": 'ONLY = ("pd",)',
-    "04_tune_by_gradient": 'LOOP, GAINS, SECONDS, PLANTS = "pi-circle", ("c1", "K"), 0.05, 2\n'
-    "GRID, BUDGET = 5, 20.0",
+    "04_tune_by_gradient": 'LOOP, GAINS = "pi-circle", ("slope", "proportional_gain")\n'
+    "SECONDS, PLANTS, GRID, BUDGET = 0.05, 2, 5, 20.0",
     "05_fuzzy_rules": "from tuning.tuner.random_search import random_search\n"
     "SECONDS, PLANTS, METHOD, BUDGET = 0.1, 1, random_search(), 20.0",
     "06_monte_carlo": 'PLANTS, LOOPS, TIMING = 16, ("pi-circle",), ("lap_time=0.2", "laps=1")',

@@ -284,9 +284,10 @@ SECOND = "pi-star"
 
 @pytest.fixture
 def small(command, shared, monkeypatch):
-    """The demo in a small size; its tunings take over the shared one, and the second is refused.
+    """The demo in a small size. Its sweeps are real; its runs are not, its tunings take over the
+    shared one, and the second is refused.
 
-    Returns the loops that were tuned and the exception that stops the next tuning of `SECOND`.
+    Returns what was begun, and a list of what stops the next tuning of `SECOND`.
     """
     found, begun, stops = tuned(command, shared), [], []
 
@@ -294,7 +295,7 @@ def small(command, shared, monkeypatch):
         loop = plan.table["loop"]
         if loop == SECOND and stops:
             raise stops.pop()
-        begun.append(loop)
+        begun.append(f"tune {loop}")
         (gains,) = shared.glob("*gains.toml")
         refused = ["a goal is missed"] if loop == SECOND else []
         answer = found | {"loop": loop, "refused": refused, "accepted": not refused}
@@ -302,11 +303,20 @@ def small(command, shared, monkeypatch):
         shutil.copy(gains, out / ("refused-gains.toml" if refused else "gains.toml"))
         shutil.copy(shared / "history.png", out)
 
+    def run(prepared, out):
+        begun.append(f"run {prepared.case.name}")
+        out.mkdir(parents=True)
+        shutil.copy(shared / "history.png", out / "contour.png")
+        return {
+            "loop": prepared.case.name, "verdict": "", "finite": False, "duration_s": 0.02,
+            "laps": 1, "lap_time_s": 0.02, "dt_s": 1e-4, "precision": "double", "notes": [],
+        }  # fmt: skip
+
     def blank(drawn, file):  # what other tests draw
         file.write_bytes((shared / "history.png").read_bytes())
 
     monkeypatch.setattr("tuning.tuner.cli._tune", take_over)
-    monkeypatch.setattr(sys.modules["jaxstage.plot.pictures"], "save", blank)
+    monkeypatch.setattr("tuning.runs.execute", run)
     monkeypatch.setattr("tuning.sweeps.pictures.save", blank)
     for name, value in (
         ("LOOPS", ("pi-circle", SECOND)), ("PLANTS", 8), ("CHUNK", 4), ("WORDS", WORDS[:6]),
@@ -330,9 +340,11 @@ def test_the_demo_stopped_and_gone_on_with(command, small):
     assert list(kept) == ["run pi-circle", f"run {SECOND}", "tune pi-circle"]
     told = command("report", folder)
     assert told.status == 2 and f"`jaxstage demo --out {folder}` finishes it" in told.err
+    assert f"Example: {EXAMPLES['demo']}" in command("demo", "--help").out
     ended = command(*words)
     assert ended.status == 0, ended.err
-    assert begun == ["pi-circle", SECOND], "no stage runs twice"
+    every = [f"{what} {loop}" for what in ("run", "tune") for loop in ("pi-circle", SECOND)]
+    assert begun == every, "no stage runs twice"
     assert kept.items() <= json.loads((folder / "stages.json").read_text()).items()
     found = strict_json((folder / "demo.json").read_text())
     assert ended.out.splitlines()[-3:] == found["verdict"]
@@ -342,7 +354,7 @@ def test_the_demo_stopped_and_gone_on_with(command, small):
     check_sweeps(folder, found)
     check_report(folder, found)
     again = command(*words, "--json")
-    assert again.status == 0 and again.json == found and begun == ["pi-circle", SECOND]
+    assert again.status == 0 and again.json == found and begun == every
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for key in {*found, *found["loops"][0], *found["stages"][0]}:
         assert f"`{key}`" in readme, f"README does not say what {key} is"
