@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from c_driver import drive, identity
 from jax import lax
 
 from jaxstage.blocks import Controller
@@ -15,7 +16,6 @@ from jaxstage.engine.c_controller import trace
 from jaxstage.engine.c_source import source
 from jaxstage.fields import pytree, replace, signal
 from jaxstage.signals import Measurement, Setpoint
-from c_driver import drive, identity
 
 pytestmark = [
     pytest.mark.fast,

@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from c_driver import SANE, STRICT, drive, identity, law_files, run, written
+from cortex_m4 import machine
 
 from jaxstage.engine import export
 from jaxstage.engine.c_controller import trace
@@ -19,8 +21,6 @@ from jaxstage.engine.export import Recorded, c_files
 from jaxstage.fields import replace
 from jaxstage.signals import Measurement, Setpoint
 from jaxstage.studies import all_studies, build
-from c_driver import SANE, STRICT, drive, identity, law_files, run, written
-from cortex_m4 import machine
 from tuning import cli
 from tuning.exports import recorded
 
