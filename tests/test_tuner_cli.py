@@ -259,7 +259,9 @@ def test_the_report_of_a_tuning(command, shared):
     assert places == sorted(places), "verdict first"
     held = next(text for text in shown if "on 3 plants never seen" in text)
     assert f"{100 * found['held_out']['change']['value']:+.1f} %" in held
-    assert set(reader.pictures) == {"error", "history", "parameters", "held-out", "baseline"}
+    assert (
+        set(reader.pictures) == {file.stem for file in shared.glob("*.png")} >= {"error", "history"}
+    )
     assert reader.captions == len(reader.pictures)
     for label, one in found["gains"].items():
         row = shown.index(label.removeprefix("gains."))

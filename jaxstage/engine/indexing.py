@@ -173,6 +173,11 @@ def look(g: Graph, nodes: list[Node], place: Any, at: list[Index]) -> Node | Non
     return g.op(first.op, *args, kind=first.kind)
 
 
+def _in_memory(group: Any, kind: str) -> bool:
+    """Whether a kernel keeps the inputs of a group as an array that it can index."""
+    return not isinstance(group, tuple) or (group[0] in "cdg" and kind == "f")
+
+
 def _counted(g: Graph, nodes: list[Node], place: _Place, at: list[Index]) -> Node | None:
     """Constants that count the elements are the index itself."""
     strides = [math.prod(place.shape[d + 1 :]) for d in place.dims]
@@ -190,6 +195,8 @@ def _counted(g: Graph, nodes: list[Node], place: _Place, at: list[Index]) -> Nod
 def _loaded(g: Graph, nodes: list[Node], place: _Place, at: list[Index]) -> Node | None:
     strides = [math.prod(place.shape[d + 1 :]) for d in place.dims]
     group, zero = nodes[0].value
+    if not _in_memory(group, nodes[0].kind):
+        return None
     for node, v in zip(nodes, at, strict=True):
         ahead = sum(s * (i - j) for s, i, j in zip(strides, v, at[0], strict=True))
         if node.value != (group, zero + ahead):

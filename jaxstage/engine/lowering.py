@@ -123,6 +123,8 @@ def _array(graph: Graph, group: Any, leaf: Any, finite: bool) -> np.ndarray:
     kind = kind_of(leaf.dtype)
     if kind == "k":
         return out
+    if kind == "l" and group[0] in "cp":
+        raise NotImplementedError("64-bit integers that each run has for itself")
     _check_width(leaf.dtype, graph)
     for number, index in enumerate(np.ndindex(*leaf.shape)):
         out[index] = graph.input(group, number, kind, finite)
@@ -186,6 +188,8 @@ def cells(where: Layout) -> Cells:
             text = f"load(Q+{where.moving[group, number] + element}*NB+b)"
         else:
             text = _READ[group, whole].format(where.groups[group].slot(node))
+        if node.kind == "u":
+            return f"to_uint32({text})"
         return f"as_mask({text})" if node.kind == "b" else text
 
     def array(source: Any) -> tuple[str, int]:

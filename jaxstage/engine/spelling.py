@@ -122,7 +122,7 @@ def _cast(node: Node, text: str, single: bool) -> str:
     if kind == "u" and single:
         return _refuse(node)
     if low <= source.low and source.high <= high:
-        return f"truncated(or_zero({text}))" if source.nan else f"truncated({text})"
+        return f"truncated(or_zero({text}))"  # a lost run may hold NaN, and this be an index
     top = 2147483520 if single else min(high, 2**63 - 1024)  # the largest real below the limit
     return f"truncated({text}, (real){low}, (real){top})"
 
