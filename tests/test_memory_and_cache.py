@@ -39,7 +39,7 @@ for seconds in map(float, sys.argv[3:]):
     leaves, structure = jax.tree.flatten(inputs)
     batched = tuple(x is not None for x in jax.tree.leaves(axes, is_leaf=lambda x: x is None))
     leaves = [jax.numpy.asarray(x) for x in leaves]
-    compiled = _rollouts.lower(loop, ticks, 128, 2, structure, batched, leaves).compile()
+    compiled = _rollouts.lower(loop, ticks, 128, 2, False, structure, batched, leaves).compile()
     memory = compiled.memory_analysis()
     print(risen, memory.temp_size_in_bytes + memory.output_size_in_bytes)
 """

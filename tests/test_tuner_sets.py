@@ -220,7 +220,7 @@ WRONG = {
     "words": ('[[train.contour]]\nloop = "pi-star"\nset = "a"', "set = a: must be a list"),
     "list": ('[train]\ncontour = "pi-star"', ":2: [train] write [[...contour]]"),
     "no plant": ("[train]\nplants = 0\nnominal = false", "[train] holds no plant"),
-    "few": ("[held_out]\nplants = 2", "fewer plants than contours"),
+    "few": ("[held_out]\nplants = 1", "fewer plants than contours"),
     "toml": ("[train\n", "line 1"),
 }
 
