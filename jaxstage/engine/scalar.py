@@ -176,6 +176,12 @@ def power(g: Graph, x: Node, n: int) -> Node:
     return g.op("mul", square, x) if n % 2 else square
 
 
+def _one_minus_square(g: Graph, kind: str, params: Any, x: Node) -> Node:
+    """(1 + x) (1 - x), as jax 0.12 has it in the slope of tanh."""
+    one = g.const(1, x.kind)
+    return g.op("mul", g.op("add", one, x), g.op("sub", one, x))
+
+
 def _pick(g: Graph, kind: str, params: Any, which: Node, *cases: Node) -> Node:
     if which.kind == "b":
         return g.op("select", which, cases[1], cases[0])
@@ -205,6 +211,7 @@ _ELEMENTWISE: dict[str, Callable[..., Node]] = {
     **{name: _plain(name) for name in [*_NAMES.split(), *FUNCTIONS]},
     **{name: _plain(other) for name, other in _RENAMED.items()},
     "square": lambda g, kind, params, x: g.op("mul", x, x),
+    "one_minus_square": _one_minus_square,
     "integer_pow": lambda g, kind, params, x: power(g, x, params["y"]),
     "clamp": lambda g, kind, params, low, x, high: g.op("min", g.op("max", low, x), high),
     "select_n": _pick,
