@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxstage.blocks import Controller
 from jaxstage.engine.c_structs import Member, members
-from jaxstage.engine.graph import Node
-from jaxstage.engine.scalar import cells, ordered, scalar_graph
+from jaxstage.engine.node import Node, ordered
+from jaxstage.engine.scalar import cells, scalar_graph
 from jaxstage.fields import Quantity, map_leaves
 from jaxstage.signals import Measurement, Setpoint
 

@@ -8,7 +8,7 @@ value are one indexed store; elements of an array, or terms of a sum, that have 
 
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 from jaxstage.engine.c_patterns import OTHERS, Pattern, sums
@@ -26,8 +26,7 @@ from jaxstage.engine.c_text import (
     operation,
     wrapped,
 )
-from jaxstage.engine.graph import Node
-from jaxstage.engine.scalar import ordered
+from jaxstage.engine.node import Node, ordered
 
 #: longest expression; parts of a longer one get names of their own
 LONGEST = 80
@@ -77,7 +76,7 @@ def statements(results: Sequence[Result], places: Places, single: bool) -> State
 def _times_written(stores: Sequence[Store], summed: dict[int, Pattern]) -> Counter[int]:
     """How often each node stands in the text: one that all rounds of a loop share counts twice, so
     that it gets a name; one that a local array holds counts once for the array."""
-    seen = _ordered((node for store in stores for node in store.needs), summed)
+    seen = ordered((node for store in stores for node in store.needs), _needs(summed))
     forms = [store.form for store in stores if store.form is not None]
     forms += [summed[node.id] for node in seen if node.id in summed]
     arrays = {nodes for form in forms for nodes in form.others}
@@ -88,24 +87,9 @@ def _times_written(stores: Sequence[Store], summed: dict[int, Pattern]) -> Count
     return times
 
 
-def _ordered(
-    roots: Iterable[Node], summed: dict[int, Pattern], known: Iterable[int] = ()
-) -> list[Node]:
-    """All nodes that are written down, each after what it needs, depth first; without the known."""
-    seen = set(known)
-    found: list[Node] = []
-    for root in roots:
-        todo = [(root, False)]
-        while todo:
-            node, done = todo.pop()
-            if done:
-                found.append(node)
-            elif node.id not in seen:
-                seen.add(node.id)
-                needs = summed[node.id].needs if node.id in summed else node.args
-                todo.append((node, True))
-                todo += [(need, False) for need in reversed(needs)]
-    return found
+def _needs(summed: dict[int, Pattern]) -> Callable[[Node], Iterable[Node]]:
+    """What a node that is written down needs: a sum that is a loop, its patterns' nodes."""
+    return lambda node: summed[node.id].needs if node.id in summed else node.args
 
 
 def _stored(writing: _Writing, store: Store) -> tuple[int, frozenset[str], str]:
@@ -170,7 +154,7 @@ def _array(writing: _Writing, nodes: tuple[Node, ...]) -> str:
 def _text(writing: _Writing, root: Node) -> Text:
     """The expression of a node; what it needs is written first."""
     if root.id not in writing.texts:
-        for node in _ordered([root], writing.sums, writing.texts):
+        for node in ordered([root], _needs(writing.sums), writing.texts):
             _write(writing, node)
     return writing.texts[root.id]
 

@@ -10,7 +10,7 @@ import functools
 from typing import Any, NamedTuple
 
 from jaxstage.engine.lowering import Layout, Lowered, flat, layout, lower
-from jaxstage.engine.node import kind_of
+from jaxstage.engine.node import Node, kind_of, ordered
 from jaxstage.engine.parts import RUN
 from jaxstage.engine.program import (
     Program,
@@ -204,16 +204,11 @@ def _rows(
 
 
 def _work(stores: list[Store]) -> int:
-    seen: set[int] = set()
-    stack = [s.node for s in stores]
-    while stack:
-        node = stack.pop()
-        if node.id not in seen:
-            seen.add(node.id)
-            stack.extend(node.args)
-            if node.op == "loop":
-                stack.extend((*node.value.inside, *node.value.rows))
-    return len(seen)
+    def reads(node: Node) -> tuple[Node, ...]:
+        rounds = (*node.value.inside, *node.value.rows) if node.op == "loop" else ()
+        return (*node.args, *rounds)
+
+    return len(ordered((s.node for s in stores), reads))
 
 
 _MAKERS = {"forward": _forward, "tangent": _tangent, "pullback": _pullback}

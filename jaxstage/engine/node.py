@@ -1,6 +1,7 @@
 """One scalar of a graph, and the kinds of scalars."""
 
 import math
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -66,3 +67,32 @@ def kind_of(dtype: Any) -> str:
     if name not in _KINDS:
         raise NotImplementedError(f"values of type {name}")
     return _KINDS[name]
+
+
+def arguments(node: Node) -> Iterable[Node]:
+    """What a node reads."""
+    return node.args
+
+
+def ordered(
+    roots: Iterable[Node],
+    reads: Callable[[Node], Iterable[Node]] = arguments,
+    known: Iterable[int] = (),
+) -> list[Node]:
+    """Every node that the roots need, arguments before users, depth first: short live ranges.
+
+    reads: what a node needs. known: numbers of nodes that are there already, with what they need.
+    """
+    seen = set(known)
+    out: list[Node] = []
+    for root in roots:
+        stack = [(root, False)]
+        while stack:
+            node, done = stack.pop()
+            if done:
+                out.append(node)
+            elif node.id not in seen:
+                seen.add(node.id)
+                stack.append((node, True))
+                stack.extend((need, False) for need in reversed([*reads(node)]))
+    return out

@@ -6,7 +6,7 @@ For any function of pytrees::
     traced.inputs      # the argument trees, every leaf an object array of nodes `in`,
                        # whose value is (number of the leaf, number of the element)
     traced.outputs     # the result tree, every leaf an object array of nodes
-    for node in ordered(cells(traced.outputs)):    # arguments before users
+    for node in node.ordered(cells(traced.outputs)):    # arguments before users
         ...            # node.op, node.kind, node.args, node.value: see `graph`
 
 Loops of fixed length are unrolled, branches become selections, an index that is known only at run
@@ -14,7 +14,7 @@ time selects among the elements it can reach (its range is tracked: clip before 
 cannot be put so raises NotImplementedError with the reason.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -77,23 +77,6 @@ def input_array(graph: Graph, group: Any, shape: tuple[int, ...], kind: str) -> 
 def cells(tree: Any) -> list[Node]:
     """All nodes of a tree of object arrays, leaf by leaf, in C order."""
     return [node for leaf in jax.tree.leaves(tree) for node in leaf.reshape(-1)]
-
-
-def ordered(roots: Iterable[Node]) -> list[Node]:
-    """Every node that the roots need, arguments before users, depth first: short live ranges."""
-    seen: set[int] = set()
-    out: list[Node] = []
-    for root in roots:
-        stack = [(root, False)]
-        while stack:
-            node, done = stack.pop()
-            if done:
-                out.append(node)
-            elif node.id not in seen:
-                seen.add(node.id)
-                stack.append((node, True))
-                stack.extend((a, False) for a in reversed(node.args))
-    return out
 
 
 def scalarise(graph: Graph, jaxpr: Any, consts: Any, args: list[Any]) -> list[Any]:

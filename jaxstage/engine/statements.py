@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-from jaxstage.engine.node import LIMITS, Node
+from jaxstage.engine.node import LIMITS, Node, ordered
 from jaxstage.engine.spelling import constant, expression
 
 TYPES = {"f": "vec", "i": "ints", "u": "ints", "l": "ints", "b": "mask"}
@@ -49,7 +49,11 @@ def write(
     roots = [n for s in plain for n in s.needs] + [n for p in puts for n in p.needs]
     roots += [n for own in guarded for s in own for n in s.needs]
     names = dict(known.names)
-    nodes = _until(roots, known)
+
+    def reads(node: Node) -> Iterable[Node]:
+        return node.args[:1] if node.id in known.reciprocals else node.args
+
+    nodes = ordered(roots, reads, known.names)
     loads: dict[int, list[Node]] = {}
     for node in nodes:
         if node.op == "load":
@@ -214,24 +218,6 @@ def _guarded(stores: list[Store], cells: Cells) -> tuple[list[list[Store]], list
                 s for s in stores if any(s.array == o.array and s.slot == o.slot for o in group)
             ]
     return several, rest
-
-
-def _until(roots: list[Node], known: Known) -> list[Node]:
-    """Nodes to compute: those that the roots need and that are not known."""
-    seen: set[int] = set()
-    out: list[Node] = []
-    for root in roots:
-        stack = [(root, False)]
-        while stack:
-            node, done = stack.pop()
-            if done:
-                out.append(node)
-            elif node.id not in seen and node.id not in known.names:
-                seen.add(node.id)
-                stack.append((node, True))
-                read = node.args[:1] if node.id in known.reciprocals else node.args
-                stack.extend((a, False) for a in reversed(read))
-    return out
 
 
 def _load(node: Node, cells: Cells, place: str) -> str:
