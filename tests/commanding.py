@@ -40,13 +40,8 @@ def few_figures(monkeypatch):
     monkeypatch.setitem(vars(LOOPS), "standard", lambda surface: FEW)
 
 
-@pytest.fixture
-def command(monkeypatch, capsys, tmp_path):
-    """The command line in an empty folder."""
-    monkeypatch.setattr("jaxstage.runtime.configure", lambda *_, **__: None)
-    here = tmp_path / "here"
-    here.mkdir()
-    monkeypatch.chdir(here)
+def caller(monkeypatch, capsys):
+    """call(*words) -> `Answer` of the command line."""
 
     def call(*words):
         monkeypatch.setattr(sys, "argv", ["jaxstage", *map(str, words)])
@@ -56,3 +51,14 @@ def command(monkeypatch, capsys, tmp_path):
         return Answer(stopped.value.code or 0, captured.out, captured.err)
 
     return call
+
+
+@pytest.fixture
+def command(monkeypatch, capsys, tmp_path):
+    """The command line in an empty folder."""
+    monkeypatch.setattr("jaxstage.runtime.configure", lambda *_, **__: None)
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+
+    return caller(monkeypatch, capsys)

@@ -1,6 +1,5 @@
 """The command line: what it prints, what it takes back, and how it refuses."""
 
-import json
 import os
 import subprocess
 import sys
@@ -8,10 +7,10 @@ from pathlib import Path
 
 import jax
 import pytest
+from commanding import caller, strict_json
 
 from jaxstage import __version__, loop_names
 from jaxstage.metrics.table import split_key
-from tuning import cli
 
 ROOT = Path(__file__).parent.parent
 #: a run of 200 ticks: one compilation serves all tests with the same loop
@@ -43,26 +42,6 @@ SCHEMA = {
 SHARES = ("reversals", "saturated", "contour_beyond", "reaching_share")
 
 
-class Result:
-    """What a command did."""
-
-    def __init__(self, status, out, err):
-        self.status, self.out, self.err = status, out, err
-
-    @property
-    def json(self):
-        return strict_json(self.out)
-
-
-def strict_json(text):
-    """The one object on standard output; refuses NaN and Infinity."""
-
-    def refuse(word):
-        raise AssertionError(f"{word} is no JSON")
-
-    return json.loads(text, parse_constant=refuse)
-
-
 @pytest.fixture
 def cache(tmp_path_factory):
     """A cache folder that all of these tests share."""
@@ -85,14 +64,7 @@ def jaxstage(monkeypatch, capsys, tmp_path, cache):
     monkeypatch.chdir(here)
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
 
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["jaxstage", *map(str, words)])
-        with pytest.raises(SystemExit) as stopped:
-            cli.main()
-        captured = capsys.readouterr()
-        return Result(stopped.value.code or 0, captured.out, captured.err)
-
-    yield call
+    yield caller(monkeypatch, capsys)
     for name, value in kept.items():
         jax.config.update(name, value)
 

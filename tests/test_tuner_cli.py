@@ -8,16 +8,16 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from commanding import command as command
+from commanding import strict_json
 from test_front import read
 
-from tuning import cli
 from tuning.cli import EXAMPLES
 from tuning.gains_file import read_tuned
 from tuning.runs import prepare
@@ -45,27 +45,6 @@ SMALL = ("tune", "pi-circle", *WORDS, "--gains", "c1,K:tied", "--method", "rando
 EXTRAS = ("--baseline", "cma", "--pareto")
 
 
-class Answer(NamedTuple):
-    """What a command did."""
-
-    status: int
-    out: str
-    err: str
-
-    @property
-    def json(self):
-        return strict_json(self.out)
-
-
-def strict_json(text):
-    """One object; refuses NaN and Infinity."""
-
-    def refuse(word):
-        raise AssertionError(f"{word} is no JSON")
-
-    return json.loads(text, parse_constant=refuse)
-
-
 @pytest.fixture(scope="module", autouse=True)
 def cache(tmp_path_factory):
     """Compiled programs, shared by the calls of this file and the processes that it starts."""
@@ -79,23 +58,10 @@ def cache(tmp_path_factory):
         jax.config.update(name, value)
 
 
-@pytest.fixture
-def command(monkeypatch, capsys, tmp_path):
-    """The command line in this process, which has already started JAX, in an empty folder."""
-    monkeypatch.setattr("jaxstage.runtime.configure", lambda *_, **__: None)
-    here = tmp_path / "here"
-    here.mkdir()
-    (here / "train.toml").write_text(TRAIN)
-    monkeypatch.chdir(here)
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["jaxstage", *map(str, words)])
-        with pytest.raises(SystemExit) as stopped:
-            cli.main()
-        captured = capsys.readouterr()
-        return Answer(stopped.value.code or 0, captured.out, captured.err)
-
-    return call
+@pytest.fixture(autouse=True)
+def training_file(command):
+    """In the folder where the command is called."""
+    Path("train.toml").write_text(TRAIN)
 
 
 @pytest.fixture(scope="module")
