@@ -100,8 +100,8 @@ def test_every_module_is_in_the_reference():
 
 #: helpers that nobody calls by name
 UNDOCUMENTED = {
-    "jaxstage.tiles", "jaxstage.plot.style", "jaxstage.plot.numbers", "jaxstage.studies.figures",
-    "jaxstage.studies.packaged",
+    "jaxstage.files", "jaxstage.tiles", "jaxstage.plot.style", "jaxstage.plot.numbers",
+    "jaxstage.studies.figures", "jaxstage.studies.packaged",
 }  # fmt: skip
 
 
