@@ -222,11 +222,11 @@ cli.main()
 """
 
 
-def test_interrupted_while_jax_computes():
+def test_interrupted_while_jax_computes(tmp_path):
     """The process ends at once: it neither waits for the computation nor crashes with it."""
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False, timeout=60,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path)},
     )  # fmt: skip
     assert done.returncode == 130, done
     assert done.stderr == "jaxstage: interrupted; every file is whole or absent\n"
