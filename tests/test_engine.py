@@ -19,7 +19,7 @@ from jaxstage.fields import replace
 from jaxstage.metrics import tracking
 from jaxstage.rollout import compiled_form, start
 from jaxstage.sensors import Noisy, ideal_sensor, noisy
-from jaxstage.studies import all_studies
+from tests.speed.agreement import distinct, moved, spread
 
 TICKS = 30
 #: one loop of each machine with each kind of law, coupled, with sensors, delays and observers
@@ -33,17 +33,6 @@ LOOPS = (
 def case(name):
     found = js.build(name)
     return found._replace(loop=replace(found.loop, metric=tracking))
-
-
-def spread(tree, lanes, seed=0):
-    """The tree for many runs, within 5 %."""
-    random = np.random.default_rng(seed)
-    return jax.tree.map(
-        lambda x: jnp.asarray(
-            np.asarray(x) * random.uniform(0.95, 1.05, (lanes, *x.shape)), x.dtype
-        ),
-        tree,
-    )
 
 
 def run(c, engine, gains, ticks=TICKS, **changes):
@@ -65,12 +54,6 @@ def close(a, b, tolerance):
         np.testing.assert_allclose(y / scale, x / scale, rtol=0, atol=tolerance)
 
 
-def moved(result):
-    """What a run comes to: the machine, what the law remembers, the figures. (The sliding variable
-    is what is left of two numbers that cancel.)"""
-    return result.final.state, result.final.metric, result.final.step, result.final.left_path_at
-
-
 @pytest.mark.parametrize("name", LOOPS)
 def test_compiled_equals_scan(name):
     c = case(name)
@@ -87,18 +70,6 @@ def program(c, **changes):
     carry = jax.eval_shape(lambda: start(loop, c.gains, c.scenario, c.path))
     zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), carry)
     return compiled_form(loop, c.gains, c.scenario, c.path, zeros)[0]
-
-
-def distinct():
-    """The published loops with different blocks."""
-    seen = {}
-    for study in all_studies:
-        for entry in study.loops:
-            c = entry.build(entry.timing)
-            loop = c.loop
-            key = loop.plant, loop.controller, loop.sensor, loop.drive, loop.reference.name
-            seen.setdefault(key, (entry.name, c._replace(loop=replace(loop, metric=tracking))))
-    return dict(seen.values())
 
 
 @pytest.mark.fast
