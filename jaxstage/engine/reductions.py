@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxstage.engine.graph import Graph
 from jaxstage.engine.node import Node, kind_of
+from jaxstage.engine.rolling import LONG
 
 
 def elementwise(f: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
@@ -26,6 +27,14 @@ def tree_sum(g: Graph, name: str, nodes: list[Node]) -> Node:
         pairs = [nodes[i : i + 2] for i in range(0, len(nodes), 2)]
         nodes = [g.op(name, *pair) if len(pair) == 2 else pair[0] for pair in pairs]
     return nodes[0]
+
+
+def long_sum(g: Graph, nodes: list[Node]) -> Node:
+    """The sum; one node where a kernel may make a loop of it."""
+    nodes = [n for n in nodes if not (n.op == "const" and n.value == 0)] or nodes[:1]
+    if g.rich and len(nodes) >= LONG and nodes[0].kind == "f":
+        return g.special("sum", tuple(nodes), None, "f")
+    return tree_sum(g, "add", nodes)
 
 
 def conjunction(g: Graph, nodes: list[Node]) -> Node:
@@ -65,7 +74,7 @@ def _finite_together(g: Graph, nodes: list[Node]) -> list[Node]:
 
 
 def _made_of(node: Node) -> tuple[Node, ...]:
-    return node.args if node.op in ("add", "sub", "mul", "neg", "abs", "sqrt") else ()
+    return node.args if node.op in ("add", "sub", "mul", "neg", "abs", "sqrt", "sum") else ()
 
 
 def _claim(node: Node) -> tuple[Node, int, Node] | None:
@@ -95,7 +104,9 @@ def _reduction(name: str, empty: Any) -> Callable[..., Any]:
         def one(nodes: list[Node]) -> Node:
             if not nodes:
                 return g.const(empty, kind)
-            return conjunction(g, nodes) if name == "and" else tree_sum(g, name, nodes)
+            if name == "and":
+                return conjunction(g, nodes)
+            return long_sum(g, nodes) if name == "add" else tree_sum(g, name, nodes)
 
         return [_reduced(args[0], equation.params["axes"], one)]
 
@@ -156,7 +167,7 @@ def dot(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
     out = np.empty(equation.outvars[0].aval.shape, object)
     for index in np.ndindex(*out.shape):
         x, y = a[index[: batch + rows]], b[(*index[:batch], *index[batch + rows :])]
-        out[index] = tree_sum(g, "add", [g.op("mul", p, q) for p, q in zip(x, y, strict=True)])
+        out[index] = long_sum(g, [g.op("mul", p, q) for p, q in zip(x, y, strict=True)])
     return [out]
 
 
