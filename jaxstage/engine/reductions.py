@@ -57,8 +57,40 @@ def conjunction(g: Graph, nodes: list[Node]) -> Node:
 
 
 def _finite_together(g: Graph, nodes: list[Node]) -> list[Node]:
-    """Without claims that follow from others: what a finite sum or product is made of is finite."""
-    claimed = [n.args[0] for n in nodes if n.op == "is_finite"]
+    """Without claims that follow from others: what a finite sum or product is made of is finite.
+
+    Claims under one condition, ``condition or is_finite(x)``, are together, too.
+    """
+    conditions: dict[Node | None, list[Node]] = {}
+    rest = []
+    for node in nodes:
+        condition, claimed = _under(node)
+        if claimed is None:
+            rest.append(node)
+        else:
+            conditions.setdefault(condition, []).append(claimed)
+    for condition, claimed in conditions.items():
+        left = _not_implied(claimed)
+        if g.rich and len(left) > 1:
+            left = [g.op("all_finite", *left)]
+        else:
+            left = [g.op("is_finite", c) for c in left]
+        rest += [n if condition is None else g.op("or", condition, n) for n in left]
+    return rest
+
+
+def _under(node: Node) -> tuple[Node | None, Node | None]:
+    """(condition, x) of ``condition or is_finite(x)``, with None for what there is not."""
+    if node.op == "is_finite":
+        return None, node.args[0]
+    if node.op == "or" and node.kind == "b":
+        for condition, claim in (node.args, node.args[::-1]):
+            if claim.op == "is_finite":
+                return condition, claim.args[0]
+    return None, None
+
+
+def _not_implied(claimed: list[Node]) -> list[Node]:
     implied: set[int] = set()
     stack = [a for c in claimed for a in _made_of(c)]
     while stack:
@@ -66,11 +98,7 @@ def _finite_together(g: Graph, nodes: list[Node]) -> list[Node]:
         if node.id not in implied:
             implied.add(node.id)
             stack.extend(_made_of(node))
-    left = [c for c in claimed if c.id not in implied]
-    rest = [n for n in nodes if n.op != "is_finite"]
-    if g.rich and len(left) > 1:
-        return [*rest, g.op("all_finite", *left)]
-    return [*rest, *(g.op("is_finite", c) for c in left)]
+    return [c for c in claimed if c.id not in implied]
 
 
 def _made_of(node: Node) -> tuple[Node, ...]:
