@@ -20,7 +20,15 @@ from jaxstage.blocks import Loop
 from jaxstage.check import SHARED, check
 from jaxstage.engine.loop import refusal
 from jaxstage.fields import replace
-from jaxstage.rollout import advance, compiled_form, report, scan_ticks, start, whole_run
+from jaxstage.rollout import (
+    advance,
+    compiled_form,
+    fields_named,
+    report,
+    scan_ticks,
+    start,
+    whole_run,
+)
 from jaxstage.signals import Carry, Run, Scenario
 from jaxstage.tiles import remembered_tile
 
@@ -64,12 +72,14 @@ def rollouts(
     gains, scenario, path = check(loop, gains, scenario, path, axes)
     leaves, structure = jax.tree.flatten((gains, scenario, path))
     batched = tuple(a != SHARED for a in jax.tree.leaves(axes))
-    lanes = count_lanes(leaves, batched)
+    lanes = count_lanes(leaves, batched, structure)
     available = jax.local_device_count()
     devices = min(available, lanes) if devices is None else devices
     if not 1 <= devices <= available:
         raise ValueError(f"devices = {devices}: must be 1..{available}")
-    lowered = _is_compiled(loop, ticks, structure, batched, leaves)
+    with fields_named(loop):
+        lowered = _is_compiled(loop, ticks, structure, batched, leaves)
+        _check_memory(loop, ticks, structure, batched, leaves, lanes, memory)
     if tile is None and lowered:
         tile = -(-lanes // devices)  # a kernel goes through its lanes by itself
     if tile is None:
@@ -78,7 +88,6 @@ def rollouts(
         raise ValueError(f"tile = {tile}: must be >= 1")
     # a tile of one lane would be compiled to another program, with other last bits
     tile = max(2, min(tile, -(-lanes // devices)))
-    _check_memory(loop, ticks, structure, batched, leaves, lanes, memory)
     return _rollouts(loop, ticks, tile, devices, lowered, structure, batched, leaves)
 
 
@@ -125,13 +134,30 @@ def spread_axes(in_axes: Any, trees: Any) -> Any:
     return axes
 
 
-def count_lanes(leaves: list[Array], batched: tuple[bool, ...]) -> int:
-    """The size of the batch. Raises ValueError when leaves disagree or none is batched."""
+def count_lanes(leaves: list[Array], batched: tuple[bool, ...], structure: Any) -> int:
+    """The size of the batch. Raises ValueError when leaves disagree or none is batched.
+
+    structure: of (gains, scenario, path).
+    """
     sizes = {np.shape(x)[:1] for x, b in zip(leaves, batched, strict=True) if b}
     if len(sizes) != 1 or () in sizes:
-        found = sorted(s[0] if s else 0 for s in sizes)
-        raise ValueError(f"batched leaves need one common leading size, got {found or 'none'}")
+        told = _sizes(leaves, batched, structure)
+        raise ValueError(f"batched leaves need one common leading size: {told}")
     return sizes.pop()[0]
+
+
+def _sizes(leaves: list[Array], batched: tuple[bool, ...], structure: Any) -> str:
+    """The first leaf of each leading size, by name."""
+    if not any(batched):
+        return "in_axes has no 0"
+    first: dict[int, str] = {}
+    named = jax.tree_util.tree_leaves_with_path(jax.tree.unflatten(structure, leaves))
+    for (place, leaf), flag in zip(named, batched, strict=True):
+        root = ("gains", "scenario", "path")[place[0].idx]
+        size = np.shape(leaf)[0] if np.shape(leaf) else 0
+        if flag:
+            first.setdefault(size, f"{root}{jax.tree_util.keystr(place[1:])}")
+    return ", ".join(f"{name} has {size or 'none'}" for size, name in first.items())
 
 
 def run_tile(
@@ -188,7 +214,7 @@ def _rollouts(
     batched: tuple[bool, ...],
     leaves: list[Array],
 ) -> Run:
-    lanes = count_lanes(leaves, batched)
+    lanes = count_lanes(leaves, batched, structure)
     tiles = -(-lanes // (tile * devices)) * devices
     # lanes that only fill the last tile repeat the last run
     index = jnp.minimum(jnp.arange(tiles * tile), lanes - 1)

@@ -147,7 +147,7 @@ class Loop:
     dt: control period in s. substeps: plant steps per period. segment: ticks per checkpointed
     segment of the scan, 0 for a plain scan (same values; less memory in reverse mode).
     path_limit: following error in m beyond which the run counts as having left the path.
-    engine: `scan`, or `auto` or `compiled` for the compiled engine.
+    engine: `auto`, or `compiled` or `scan` for always or never the compiled engine.
     """
 
     plant: Plant
@@ -161,4 +161,4 @@ class Loop:
     substeps: int = 1
     segment: int = 0
     path_limit: float = 0.1
-    engine: Engine = scan
+    engine: Engine = auto

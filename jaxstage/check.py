@@ -24,11 +24,12 @@ def check(
     three trees of batch axes (0 or `SHARED` a leaf) of a batch of runs, None for one run. Raises
     ValueError naming the value, where it stands and what is allowed.
     """
+    _check_kinds(loop, scenario)
     path = jax.tree.map(jnp.asarray, path)
     dtype = float_type(path)
     _check_key(scenario)
-    gains = strong(gains, dtype)
-    scenario = strong(scenario, dtype)
+    gains = strong(gains, dtype, "gains")
+    scenario = strong(scenario, dtype, "scenario")
     check_loop(loop)
     axes = loop.plant.axes
     if in_axes is None:
@@ -56,23 +57,46 @@ def check(
 def float_type(tree: Any) -> Any:
     """The type of the first floating-point leaf, JAX's default without one.
 
-    The precision of a run is that of its path.
+    The precision of a run is that of its path. Raises ValueError for double precision where JAX
+    does not have it.
     """
+    default = jnp.zeros(()).dtype
     for leaf in jax.tree.leaves(tree):
         if jnp.issubdtype(leaf.dtype, jnp.floating):
+            if leaf.dtype == jnp.float64 and default == jnp.float32:
+                raise ValueError(
+                    "the path is in double precision, but JAX runs in single: configure("
+                    'precision="double"), or build the case again'
+                )
             return leaf.dtype
-    return jnp.zeros(()).dtype
+    return default
 
 
-def strong(tree: Any, dtype: Any) -> Any:
-    """The tree with Python numbers and floats as arrays of one type, so nothing retraces."""
+def strong(tree: Any, dtype: Any, root: str = "input") -> Any:
+    """The tree with Python numbers and floats as arrays of one type, so nothing retraces.
 
-    def convert(leaf: Any) -> Any:
+    root: begins the names. Raises ValueError for what is no number.
+    """
+
+    def convert(place: Any, leaf: Any) -> Any:
         if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             return leaf
-        return jnp.asarray(leaf, dtype=dtype)
+        try:
+            return jnp.asarray(leaf, dtype=dtype)
+        except (TypeError, ValueError):
+            name = f"{root}{jax.tree_util.keystr(place)}"
+            raise ValueError(f"{name} = {leaf!r}: must be a number or an array") from None
 
-    return jax.tree.map(convert, tree)
+    return jax.tree_util.tree_map_with_path(convert, tree)
+
+
+def _check_kinds(loop: Any, scenario: Any) -> None:
+    for name, value, kind in (("loop", loop, Loop), ("scenario", scenario, Scenario)):
+        if not isinstance(value, kind):
+            raise ValueError(
+                f"{name} is a {type(value).__name__}, must be a {kind.__name__}: "
+                "simulate(loop, gains, scenario, path, ticks), all parts of js.build(name)"
+            )
 
 
 def _check_period(loop: Loop, path: Any, batch: Any) -> None:

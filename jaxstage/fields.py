@@ -11,6 +11,7 @@ This is the only file that touches :mod:`dataclasses`.
 """
 
 import dataclasses
+import difflib
 import math
 import re
 from collections.abc import Callable, Iterator
@@ -119,7 +120,15 @@ def definition(cls: type[T]) -> type[T]:
 
 
 def replace(obj: T, **changes: Any) -> T:
-    """A copy of a pytree, definition or `Case` with some fields changed."""
+    """A copy of a pytree, definition or `Case` with some fields changed.
+
+    Raises ValueError for a field that it does not have, with the nearest one.
+    """
+    names = getattr(obj, "_fields", None) or [f.name for f in dataclasses.fields(obj)]  # type: ignore[arg-type]
+    for name in changes.keys() - set(names):
+        close = difflib.get_close_matches(name, names, n=1, cutoff=0.4)
+        hint = f"; did you mean '{close[0]}'?" if close else f" (it has {', '.join(names)})"
+        raise ValueError(f"{type(obj).__name__} has no field '{name}'{hint}")
     if isinstance(obj, tuple):
         return obj._replace(**changes)  # type: ignore[attr-defined]
     return dataclasses.replace(obj, **changes)  # type: ignore[type-var]

@@ -1,6 +1,7 @@
 """A run from start to report: scan over ticks, flags for lost runs, resume, replay."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -13,7 +14,7 @@ from jaxstage.blocks import Loop, Metric, scan
 from jaxstage.check import check
 from jaxstage.engine.loop import program_of, rollout
 from jaxstage.engine.program import Program, segmented
-from jaxstage.fields import replace
+from jaxstage.fields import is_pytree_data, replace
 from jaxstage.signals import Carry, Output, Run, Sample, Scenario, Setpoint
 from jaxstage.tick import tick, tick_keys
 
@@ -40,7 +41,22 @@ def simulate(
     if ticks < 1:
         raise ValueError(f"ticks must be >= 1, got {ticks}")
     gains, scenario, path = check(loop, gains, scenario, path)
-    return _simulate(loop, ticks, gains, scenario, path, carry)
+    with fields_named(loop):
+        return _simulate(loop, ticks, gains, scenario, path, carry)
+
+
+@contextmanager
+def fields_named(loop: Loop) -> Iterator[None]:
+    """Say of which data a law or a machine misses a field: usually those of another one."""
+    try:
+        yield
+    except AttributeError as error:
+        if not is_pytree_data(error.obj):
+            raise
+        raise ValueError(
+            f"{type(error.obj).__name__} has no '{error.name}', which {loop.controller.name} on "
+            f"{loop.plant.name} needs: gains or parameters of another law or machine?"
+        ) from error
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -1,6 +1,8 @@
 """How JAX runs. Call `configure` before the first array is made; importing changes nothing."""
 
 import os
+import tempfile
+import warnings
 from pathlib import Path
 
 import jax
@@ -15,8 +17,9 @@ def configure(
     JAX's choice. cache: folder that keeps compiled programs for the next start, "default" is
     ``$XDG_CACHE_HOME/jaxstage``, None leaves JAX's setting. (Where XLA then logs that a cached
     program was built for another machine it compares tuning flags; ``TF_CPP_MIN_LOG_LEVEL=3`` in
-    the environment silences it, as the command line does.) Raises ValueError for a bad value,
-    RuntimeError when JAX has already started with another number of devices.
+    the environment silences it, as the command line does.) A folder that cannot be written is
+    warned of and left out. Raises ValueError for a bad value, RuntimeError when JAX has already
+    started with another number of devices.
     """
     if precision not in ("single", "double"):
         raise ValueError(f"precision = '{precision}': must be single or double")
@@ -36,6 +39,13 @@ def configure(
     if cache == "default":
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         cache = Path(base) / "jaxstage"
+    try:
+        Path(cache).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=cache):
+            pass
+    except OSError as error:
+        warnings.warn(f"no cache of compiled programs: {cache}: {error.strerror}", stacklevel=2)
+        return
     jax.config.update("jax_compilation_cache_dir", str(cache))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 

@@ -143,7 +143,9 @@ def read_toml(file: Path) -> dict[str, Any]:
         return _flat(tomllib.loads(text), "")
     except FileNotFoundError:
         raise ValueError(f"{file}: no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+    except OSError as error:
+        raise ValueError(f"{file}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         end = f"at the end, line {len(text.splitlines())}"
         message = str(error).replace("at end of document", end)
         raise ValueError(f"{file}: {message}") from None

@@ -200,9 +200,9 @@ def test_gradients_go_through_a_batch():
 def test_bad_batches_are_refused():
     c = case()
     gains, axes = varied(c, slope=slopes(), rate=jnp.full((LANES - 1, 2), 10.0))
-    with pytest.raises(ValueError, match=r"one common leading size, got \[10, 11\]"):
+    with pytest.raises(ValueError, match=r"leading size: gains.slope has 11, gains\S* has 10"):
         many(c, gains, axes)
-    with pytest.raises(ValueError, match="got none"):
+    with pytest.raises(ValueError, match="in_axes has no 0"):
         many(c, c.gains, None)
     gains, axes = varied(c, slope=slopes().at[7, 1].set(-1.0))
     with pytest.raises(

@@ -12,6 +12,7 @@ import jaxstage as js
 from jaxstage.blocks import compiled, scan
 from jaxstage.engine import build as building
 from jaxstage.engine import loop as engine_loop
+from jaxstage.engine import primitives
 from jaxstage.engine.kernels import kernel
 from jaxstage.engine.program import is_real
 from jaxstage.fields import replace
@@ -144,6 +145,30 @@ def test_rollouts_go_through_the_kernel_too():
     loop = replace(c.loop, engine=compiled)
     together = js.rollouts(loop, gains, c.scenario, c.path, TICKS)
     close(moved(many(c, compiled, gains)), moved(together), 0)
+
+
+def test_gradients_through_rollouts_have_kernels(monkeypatch):
+    """Inside a sharded call, where the kernel of this loop is made, JAX adds its own primitives."""
+    c = case("pi-circle")
+    gains = spread(c.gains, 2)
+    made = []
+    plain_form = primitives._pullback_reference
+    monkeypatch.setattr(
+        primitives,
+        "_pullback_reference",
+        lambda *a, **more: made.append(1) or plain_form(*a, **more),
+    )
+
+    def error(gains):
+        loop = replace(c.loop, engine=compiled)
+        return js.rollouts(loop, gains, c.scenario, c.path, 12).report.ate.sum()
+
+    def plain(gains):
+        return jax.vmap(lambda g: run(c, compiled, g, ticks=12).report.ate)(gains).sum()
+
+    found = jax.jit(jax.grad(error))(gains)
+    assert not made
+    close(jax.jit(jax.grad(plain))(gains), found, 1e-12)
 
 
 def test_single_precision(single):

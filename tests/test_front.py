@@ -1,7 +1,6 @@
 """Every command as its help shows it, the reports of what it leaves, and what it says when used
 wrongly."""
 
-import errno
 import json
 import re
 import shlex
@@ -14,7 +13,6 @@ from commanding import command as command
 from commanding import few_figures
 from test_studies import small_study
 
-import jaxstage as js
 from tuning.cli import EXAMPLES, app
 from tuning.reports.page import Page, html
 
@@ -212,54 +210,3 @@ def test_a_stopped_sweep_is_told_to_go_on(command, tmp_path):
 def test_text_of_a_user_is_no_markup():
     reader = read(html(BLANK))
     assert "<script>alert(1)</script>" in reader.text and "x < y" in reader.text
-
-
-# --- wrong uses ------------------------------------------------------------------------------
-
-
-@pytest.mark.fast
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("run", "pi-circle", "--set", "plant.mass=3g"), "units are not written, this one is SI"),
-        (("run", "pi-circle", "--set", "feed=1200mm/min"), "this one is mm/min"),
-        (("report",), "Missing argument 'folder'"),
-    ],
-)
-def test_a_unit_or_a_missing_word_is_one_line(command, words, said):
-    answer = command(*words)
-    assert answer.status == 2 and said in answer.err and answer.err.count("\n") == 1
-
-
-@pytest.mark.fast
-def test_a_full_disk_leaves_nothing_half_written(command, tmp_path, monkeypatch):
-    (tmp_path / "run.json").write_text("{}", encoding="utf-8")
-    monkeypatch.setattr("tuning.reports.kinds.page_of", lambda folder: BLANK)
-
-    def full(source, target):
-        raise OSError(errno.ENOSPC, "No space left on device", str(target))
-
-    monkeypatch.setattr("tuning.results.os.replace", full)
-    answer = command("report", tmp_path)
-    assert answer.status == 2 and answer.err.count("\n") == 1
-    assert "No space left on device" in answer.err and "report.html" in answer.err
-    assert [file.name for file in tmp_path.glob("*.*")] == ["run.json"]
-
-
-@pytest.mark.fast
-def test_an_interrupted_command_says_what_is_left(command, monkeypatch):
-    def stopped(name):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("tuning.comparisons.find_study", stopped)
-    answer = command("compare", "fuzzy-cmac")
-    assert answer.status == 130 and answer.err.count("\n") == 1
-    assert "every file is whole or absent, and a sweep goes on with --resume" in answer.err
-
-
-@pytest.mark.fast
-def test_another_number_of_devices_after_jax_has_started():
-    jax.numpy.zeros(1)
-    with pytest.raises(RuntimeError, match="cores = 77: JAX has already started with") as refused:
-        js.configure(cores=77)
-    assert "in a new process" in str(refused.value)

@@ -62,7 +62,7 @@ def checks(smoothed, names, step, stepped, segment):
     """What `grad_check` gives, on several contours in one program; differences for the first
     ``stepped`` parameters only."""
     loop, gains, scenario, _, ticks = dfcmac("circle", smoothed)
-    loop = js.replace(loop, segment=segment)
+    loop = js.replace(loop, segment=segment, engine=js.scan)
     chosen = select(gains, scenario, ALL)
     x = chosen.vector
     scale = np.where(x != 0, np.abs(x), WEIGHT_STEP)
@@ -248,8 +248,8 @@ def test_the_mode_follows_the_number_of_parameters():
 
 
 def memory_of_gradient(loop, gains, scenario, path, ticks, segment, runs=1):
-    """Bytes that the compiled reverse-mode gradient of some runs needs beside its inputs."""
-    loop = js.replace(loop, segment=segment)
+    """Bytes that the reverse-mode gradient of some runs needs beside its inputs, as a scan."""
+    loop = js.replace(loop, segment=segment, engine=js.scan)
 
     def objective(slope):
         moved = js.replace(gains, slope=slope)

@@ -97,6 +97,8 @@ def test_rows(name):
 
 #: (max, variance) of the two phases that the oscillation at half the sampling rate can take
 PHASES = ((4.835, 1.482), (4.8232, 1.4815))
+#: max of the same two phases with the feed-forward: a start moved by 1e-13 um chooses
+AHEAD = (1.8617, 1.8401)
 
 
 def test_first_simulation():
@@ -132,10 +134,11 @@ def test_run_times():
 
 def test_position_feedforward_helps_only_an_error_of_its_size():
     rows = {
-        "sim1-ahead": ("1.862", "0.9101"),
         "asmc-mrac-caps-ahead": ("2.121", "1.996"),
         "cascade-ahead": ("4.401", "2.132"),
     }
+    assert any(abs(ideal()["sim1-ahead"]["max_um"] / top - 1) < 3e-4 for top in AHEAD)
+    agree(ideal()["sim1-ahead"]["mean_um"], "0.9101", 3e-4)
     for name, (top, mean) in rows.items():
         agree(ideal()[name]["max_um"], top, 1e-3)
         agree(ideal()[name]["mean_um"], mean, 1e-3)

@@ -24,7 +24,7 @@ TREES = {file: ast.parse(file.read_text(encoding="utf-8")) for file in FILES}
 
 #: a module imports from lower layers only, and from its own package
 LAYERS = (
-    ("fields", "runtime"),
+    ("fields", "files", "runtime"),
     ("signals",),
     ("blocks",),
     ("numerics",),

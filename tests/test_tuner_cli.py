@@ -372,7 +372,8 @@ def test_a_folder_that_holds_no_demo_or_another_one(command, small, monkeypatch)
     )
     small[1].append(OSError("disk full"))
     failed = command("demo", "--out", "other")
-    assert failed.status == 2 and failed.err.endswith("jaxstage: disk full\n")
+    told = "jaxstage: disk full; `jaxstage demo --out other` goes on\n"
+    assert failed.status == 2 and failed.err.endswith(told)
     monkeypatch.setattr("tuning.demo.stages.PLANTS", 9)
     refused = command("demo", "--out", "other")
     assert refused.status == 2 and "a demo of another configuration; plants: 8 -> 9" in refused.err

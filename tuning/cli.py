@@ -3,7 +3,9 @@
 import json
 import os
 import sys
+import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -46,27 +48,73 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Entry point. A wrong use prints one line on standard error and exits with status 2."""
-    # XLA logs an error for every cached program, over tuning flags that no machine lists
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    try:
-        status = app(standalone_mode=False, prog_name="jaxstage")
-    except TyperException as error:
-        message = error.format_message() if hasattr(error, "format_message") else str(error)
-        _fail(message)
-    except (KeyboardInterrupt, typer.Abort):
-        status = INTERRUPTED
-    except (ValueError, OSError) as error:
-        _fail(str(error))
+    """Entry point: `call`, and the end of this process."""
+    status = call()
     if status == INTERRUPTED:
-        said = "interrupted; every file is whole or absent, and a sweep goes on with --resume"
-        print(f"jaxstage: {said}", file=sys.stderr)
+        with suppress(OSError):
+            sys.stdout.flush()
+        os._exit(status)  # a simulation still runs in a thread of XLA: an ordinary end crashes
     sys.exit(status)
 
 
-def _fail(message: str) -> None:
+def call() -> int:
+    """Run the command that this process was called with; returns the exit status.
+
+    A wrong use prints one line on standard error, and its status is 2.
+    """
+    # XLA logs an error for every cached program, over tuning flags that no machine lists
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    warnings.showwarning = _warn
+    words = sys.argv[1:] or ["--help"]
+    try:
+        _refuse_unknown(words[0])
+        status = app(words, standalone_mode=False, prog_name="jaxstage") or 0
+    except TyperException as error:
+        return _refused(error.format_message() if hasattr(error, "format_message") else str(error))
+    except InterruptedError as error:  # the command says how to go on
+        return _interrupted(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        status = INTERRUPTED
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return _refused(f"{place}{error.strerror or error}")
+    except ValueError as error:
+        return _refused(str(error))
+    except RuntimeError as error:
+        if not is_of_jax(error):
+            raise
+        return _refused(str(error))
+    return _interrupted("every file is whole or absent") if status == INTERRUPTED else status
+
+
+def _refuse_unknown(command: str) -> None:
+    if command not in EXAMPLES and not command.startswith("-"):
+        from jaxstage.settings import nearest_name
+
+        hint = nearest_name(command, EXAMPLES)
+        raise ValueError(f"unknown command '{command}'{hint} (`jaxstage --help` shows all)")
+
+
+def is_of_jax(error: RuntimeError) -> bool:
+    """Whether the backend of JAX did not start, or ran out of memory."""
+    from jax.errors import JaxRuntimeError
+
+    return isinstance(error, JaxRuntimeError) or "Unable to initialize backend" in str(error)
+
+
+def _refused(message: str) -> int:
     print(f"jaxstage: {' '.join(message.split())}", file=sys.stderr)
-    sys.exit(2)
+    return 2
+
+
+def _interrupted(message: str) -> int:
+    print(f"jaxstage: interrupted; {message}", file=sys.stderr)
+    return INTERRUPTED
+
+
+def _warn(message: Warning | str, *place: Any) -> None:
+    """A warning of a library, in one line and without its source."""
+    print(f"jaxstage: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 @app.callback(invoke_without_command=True)
@@ -227,8 +275,8 @@ def report(
     from tuning.reports import kinds
 
     file = out or folder / "report.html"
-    if file.is_dir():
-        raise ValueError(f"--out {file}: is a folder, must be a file")
+    if file.exists() and not file.is_file():
+        raise ValueError(f"--out {file}: must be a file")
     kinds.write(folder, file)
     print(file)
 

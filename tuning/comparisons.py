@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from jaxstage import __version__
+from jaxstage.files import write_text
 from jaxstage.metrics import record, together
 from jaxstage.metrics.table import split_key
 from jaxstage.runtime import cpu_cores
@@ -19,7 +20,6 @@ from jaxstage.studies import Comparison, Study, known_studies, with_metric
 from jaxstage.studies.claim import count
 from jaxstage.studies.comparison import stored_verdicts
 from jaxstage.studies.experiment import ChartDrawing, RunDrawing, measure
-from tuning.results import write_text
 from tuning.runs import prepare
 
 COLOURS = {"holds": "green", "fails": "red", "unchecked": "dim"}
@@ -29,8 +29,11 @@ def find_study(name: str) -> Study:
     """The study with claims called ``name``. Raises ValueError with the nearest known name."""
     studies = {study.name: study for study in known_studies() if study.claims}
     if name not in studies:
+        its = [s for s in studies.values() for loop in s.loops if loop.name == name]
+        if its:
+            raise ValueError(f"'{name}' is a loop: `jaxstage compare {its[0].name}` has its study")
         hint = nearest_name(name, studies)
-        raise ValueError(f"unknown study '{name}'{hint}: one of {', '.join(studies)}")
+        raise ValueError(f"unknown study '{name}'{hint} (there are {', '.join(studies)})")
     return studies[name]
 
 

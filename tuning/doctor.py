@@ -15,7 +15,7 @@ from jaxstage.engine.build import compiler
 from jaxstage.runtime import cache_folder, cpu_cores
 
 LANES = 128
-TICKS = 1000
+TICKS = 4000  # as many as the engine compiles
 
 
 def examine() -> dict[str, Any]:

@@ -9,11 +9,11 @@ import jax
 
 from jaxstage import __version__
 from jaxstage.engine.export import c_files, check_names
+from jaxstage.files import write_text
 from jaxstage.metrics import record
 from jaxstage.rollout import simulate
 from jaxstage.signals import Sample
 from jaxstage.studies import Case, with_metric
-from tuning.results import write_text
 
 #: ticks of the closed loop that the C text is checked with
 TICKS = 1000

@@ -5,14 +5,13 @@ the same work with another configuration, is refused before anything is written.
 """
 
 import hashlib
-import os
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pyarrow as pa
+from jaxstage.files import write_text
 
 #: differences of two configurations that are named
 SHOWN = 5
@@ -37,7 +36,7 @@ def create(folder: Path, kind: Kind, text: str, resume: bool) -> None:
         if resume and not folder.exists():
             raise ValueError(f"--resume: {folder} does not exist")
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / kind.file, text.encode())
+        write_text(folder / kind.file, text)
         return
     old = read_configuration(folder, kind)
     if old != text:
@@ -85,25 +84,6 @@ def locked(folder: Path, kind: Kind, doing: str) -> Iterator[None]:
         except BlockingIOError:
             raise ValueError(f"another process is {doing} into {folder}") from None
         yield
-
-
-def write_whole(file: Path, data: bytes | pa.Buffer) -> None:
-    """Write a file whole or not at all, also when the power fails."""
-    partial = file.with_name(file.name + ".partial")
-    try:
-        with partial.open("wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, file)
-    finally:
-        partial.unlink(missing_ok=True)
-    if os.name == "posix":  # the name is on the disk, too
-        folder = os.open(file.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
 
 
 def digest(text: str) -> str:

@@ -1,13 +1,13 @@
 """A finished run as an object for JSON, as text, and as files."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import jax
 
 from jaxstage import __version__
+from jaxstage.files import write_text
 from jaxstage.metrics import columns
 from jaxstage.settings import SCENARIO_PARTS, to_toml
 from jaxstage.signals import Run
@@ -49,16 +49,6 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
         "metrics_whole_run": columns(run.report["whole"], case.loop.plant),
         "notes": list(notes),
     }
-
-
-def write_text(file: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    partial = file.with_name(file.name + ".partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, file)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def write_settings(folder: Path, case: Case, result: dict[str, Any]) -> None:

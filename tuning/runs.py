@@ -12,20 +12,22 @@ import numpy as np
 from jaxstage import settings
 from jaxstage.check import check
 from jaxstage.controllers.fuzzy_rules import readable
-from jaxstage.fields import replace
+from jaxstage.fields import in_units_of, replace
+from jaxstage.files import write_text
 from jaxstage.metrics import record, together
+from jaxstage.rollout import advance, start
 from jaxstage.signals import Run
 from jaxstage.studies import Case, Timing, all_studies, find, with_metric
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
 from jaxstage.studies.study import NamedLoop
 from tuning.gains_file import NOTES
-from tuning.results import summary, write_settings, write_text
+from tuning.results import summary, write_settings
 from tuning.scenario_file import NOT_VALUES, with_file_blocks
 
-#: settings that belong to the timing, with their types
+#: settings that belong to the timing, with their units; those without one are whole numbers
 TIMING = {
-    "lap_time": float, "laps": int, "scored": int, "dt": float, "substeps": int, "feed": float,
-    "skip": float,
+    "lap_time": "s", "laps": "", "scored": "", "dt": "s", "substeps": "", "feed": "mm/min",
+    "skip": "s",
 }  # fmt: skip
 
 
@@ -78,7 +80,8 @@ def prepare(
         if file is not None:
             case, paths = _from_file(case, file, roots, others)
             changed += paths
-    values = {k: _numbers(k, v) for k, v in given.items() if k not in TIMING}
+    words_of_values = {k: v for k, v in given.items() if k not in TIMING}
+    values = {k: _numbers(k, v, _unit(case, k)) for k, v in words_of_values.items()}
     case, paths = _applied(case, values, tuple(TIMING))
     changed += paths
     check(case.loop, case.gains, case.scenario, case.path)
@@ -90,19 +93,37 @@ def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
     case = prepared.case
     metrics = (case.loop.metric, replace(case.metric, name="whole"), *((record,) if out else ()))
     stored = (recorded.metric for recorded in prepared.entry.recorded)
-    run = _with_recorded(prepared, with_metric(case, together(*metrics, *stored)).simulate())
+    measured = with_metric(case, together(*metrics, *stored))
+    _refuse_long(measured)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)  # before the work: where it cannot be made
+    run = _with_recorded(prepared, measured.simulate())
     result = summary(case, run, prepared.notes)
     result["notes"] += prepared.entry.notes(case, result["metrics"])
     if out is not None:
         from jaxstage.plot import pictures
 
-        out.mkdir(parents=True, exist_ok=True)
         pictures(case, run.report["scored"], run.rows["record"], result, out)
         write_settings(out, case, result)
         rules = readable(case.gains, run.final.memory)
         if rules is not None:
             write_text(out / "rules.txt", rules)
     return result
+
+
+def _refuse_long(case: Case) -> None:
+    """Refuse a run whose record does not fit into this machine."""
+    begin = jax.eval_shape(lambda: start(case.loop, case.gains, case.scenario, case.path))
+    step = lambda c: advance(case.loop, case.gains, case.scenario, case.path, c)  # noqa: E731
+    row = jax.tree.leaves(jax.eval_shape(step, begin)[1])
+    size = case.window.ticks * sum(leaf.size * leaf.dtype.itemsize for leaf in row)
+    if hasattr(os, "sysconf"):
+        there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        if size > there / 2:  # pictures hold it a second time
+            raise ValueError(
+                f"a record of {case.window.ticks} control periods takes {size / 1e9:.3g} GB, half "
+                f"the memory here is {there / 2e9:.3g} GB: simulate less, or without --out"
+            )
 
 
 def _with_recorded(prepared: Prepared, run: Run) -> Run:
@@ -139,14 +160,21 @@ def _word(word: str) -> tuple[str, str]:
     return name.strip(), value.strip()
 
 
-def _numbers(name: str, text: str) -> list[float]:
+def _numbers(name: str, text: str, unit: str) -> list[float]:
     try:
         return [float(item) for item in text.split(",")]
     except ValueError:
+        told = f"; units are not written, this one is {unit}" if unit not in ("", "1") else ""
         raise ValueError(
-            f"--set {name}={text}: must be a number, or one number per axis split by commas; "
-            f"units are not written, this one is {'mm/min' if name == 'feed' else 'SI'}"
+            f"--set {name}={text}: must be a number, or one number per axis split by commas{told}"
         ) from None
+
+
+def _unit(case: Case, name: str) -> str:
+    """The unit of a setting. Raises ValueError for an unknown one."""
+    known = settings.known_leaves(case.gains, case.scenario)
+    quantity = known[settings.resolve(name, known, tuple(TIMING))][0]
+    return in_units_of(quantity, case.loop.plant.command_unit).unit
 
 
 def _timing(own: Timing, words: Mapping[str, str], duration: float | None) -> Timing:
@@ -155,11 +183,15 @@ def _timing(own: Timing, words: Mapping[str, str], duration: float | None) -> Ti
     values: dict[str, Any] = {} if duration is None else {"duration": duration}
     values |= {"skip": None} if "scored" in words else {}
     values |= {"duration": None} if "laps" in words and duration is None else {}
+    for one, other in (("lap_time", "feed"), ("scored", "skip")):
+        if one in words and other in words:
+            raise ValueError(f"--set {one} and --set {other}: give one of them")
+    values |= {"feed": None} if "lap_time" in words else {}
     for name, text in words.items():
-        number, *more = _numbers(name, text)
+        number, *more = _numbers(name, text, TIMING[name])
         if more:
             raise ValueError(f"--set {name}={text}: must be one number")
-        if TIMING[name] is int:
+        if not TIMING[name]:
             if not math.isfinite(number) or number != int(number):
                 raise ValueError(f"--set {name}={text}: must be a whole number")
             number = int(number)

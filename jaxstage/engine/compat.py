@@ -25,6 +25,9 @@ CALLS = frozenset(
     "custom_vjp_call_jaxpr custom_lin".split()
 )
 
+#: primitives that give what they are given; those of shardings mean nothing to a single run
+SAME = frozenset("stop_gradient optimization_barrier name copy copy_p pvary pcast reshard".split())
+
 
 def called(params: dict[str, Any]) -> tuple[Any, tuple[Any, ...]]:
     """The jaxpr that a call holds, and its constants."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxstage.engine.compat import CALLS, Literal, called, typed
+from jaxstage.engine.compat import CALLS, SAME, Literal, called, typed
 
 #: what a value depends on: nothing, shared arrays, the tick too, the run
 CONSTANT, FIXED, TICK, RUN = range(4)
@@ -85,6 +85,9 @@ def in_line(closed: Any) -> Steps:
 
         for equation in jaxpr.eqns:
             inputs = [read(v) for v in equation.invars]
+            if equation.primitive.name in SAME:
+                env.update(zip(equation.outvars, inputs, strict=True))
+                continue
             if equation.primitive.name in CALLS and equation.params.get("name") != "floor_divide":
                 inner, held = called(equation.params)
                 env.update(zip(equation.outvars, walk(inner, held, inputs), strict=True))

@@ -28,7 +28,7 @@ from jaxstage.engine.compat import (
     zero_tangent,
 )
 from jaxstage.engine.kernels import Kernel, kernel
-from jaxstage.engine.program import Program, batched_scan, is_real, row_structure
+from jaxstage.engine.program import Program, batched_scan, is_real, row_structure, scan
 
 rollout_p = Primitive("jaxstage_rollout")
 tangent_p = Primitive("jaxstage_tangent")
@@ -155,35 +155,33 @@ def has_derivative(program: Program, batched: tuple[bool, ...], moving: tuple[in
     return alone and not any(is_real(x) for x in row_structure(program)[1])
 
 
-def _wide(x: Array, batched: bool, size: int) -> Array:
-    return x if batched else jnp.broadcast_to(x, (size, *x.shape))
-
-
-def _moved(
-    program: Program, leaves: Any, flags: Any, at: list[int], size: int, ticks: int
-) -> tuple[Any, list[Array]]:
-    """The real carry after the ticks as a function of some leaves of every run, and these."""
-    own = [x if i not in at else _wide(x, b, size) for i, (x, b) in enumerate(
-        zip(leaves, flags, strict=True))]  # fmt: skip
-    batched = tuple(b or i in at for i, b in enumerate(flags))
+def _moved(program: Program, leaves: Any, at: list[int], ticks: int) -> Any:
+    """The real carry of one run after the ticks as a function of some leaves, and these."""
 
     def of(*values: Array) -> list[Array]:
-        merged = list(own)
+        merged = list(leaves)
         for i, value in zip(at, values, strict=True):
             merged[i] = value
-        out = batched_scan(program, ticks, batched, size, merged)
+        out = scan(program, ticks, merged)
         return [out[i] for i in program.real_carry]
 
-    return of, [own[i] for i in at]
+    return of, [leaves[i] for i in at]
+
+
+def _of_runs(one: Any, batched: tuple[bool, ...], size: int, args: Any) -> Any:
+    return jax.vmap(one, [0 if b else None for b in batched], axis_size=size)(*args)
 
 
 def _tangent_reference(
     *args: Array, program: Program, batched: Any, size: int, ticks: int, moving: Any
 ) -> Any:
     count, at = len(program.leaves), _positions(program, moving)
-    of, values = _moved(program, args[:count], batched[:count], at, size, ticks)
-    pairs = zip(args[count:], batched[count:], strict=True)
-    return jax.jvp(of, values, [_wide(x, b, size) for x, b in pairs])[1]
+
+    def one(*args: Array) -> list[Array]:
+        of, values = _moved(program, args[:count], at, ticks)
+        return jax.jvp(of, values, list(args[count:]))[1]
+
+    return _of_runs(one, batched, size, args)
 
 
 def _tangent_compiled(
@@ -226,9 +224,14 @@ def _pullback_reference(
     *args: Array, program: Program, batched: Any, size: int, ticks: int, moving: Any
 ) -> Any:
     count, at = len(program.leaves), _positions(program, moving)
-    of, values = _moved(program, args[:count], batched[:count], at, size, ticks)
-    pairs = zip(args[count:], batched[count:], strict=True)
-    return list(jax.vjp(of, *values)[1]([_wide(x, b, size) for x, b in pairs]))
+
+    # derivatives of one run, and then of all: the derivative of a condition that differs from run
+    # to run cannot be transposed by JAX
+    def one(*args: Array) -> list[Array]:
+        of, values = _moved(program, args[:count], at, ticks)
+        return list(jax.vjp(of, *values)[1](list(args[count:])))
+
+    return _of_runs(one, batched, size, args)
 
 
 def _pullback_compiled(

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.engine.compat import CALLS, Literal, called, scan_parts, typed
+from jaxstage.engine.compat import CALLS, SAME, Literal, called, scan_parts, typed
 from jaxstage.engine.graph import Graph, new_graph
 from jaxstage.engine.indexing import Lookup, gather, scatter, slice_at, update_at
 from jaxstage.engine.inner import Inner, bounds_of, inputs, loop_node, results, source_of
@@ -131,8 +131,8 @@ def evaluate(graph: Graph, equation: Any, args: list[Any]) -> list[Any]:
     kinds = [kind_of(v.aval.dtype) for v in equation.outvars]
     if "k" in kinds:
         raise NotImplementedError(f"random numbers (primitive '{name}')")
-    if name in _SAME:
-        return [args[0]]
+    if name in SAME:
+        return args
     if name in _ELEMENTWISE:
         make = _ELEMENTWISE[name]
         return [elementwise(lambda *x: make(graph, kinds[0], params, *x), *args)]
@@ -185,7 +185,6 @@ def _shift_right(g: Graph, kind: str, params: Any, x: Node, by: Node) -> Node:
     return g.op("div", g.op("select", g.op("lt", x, g.const(0, x.kind)), down, x), divisor)
 
 
-_SAME = frozenset("stop_gradient optimization_barrier pvary name copy copy_p".split())
 _RENAMED = {"add_any": "add", "lt_to": "lt", "le_to": "le", "eq_to": "eq"}
 _NAMES = (
     "add sub mul div max min rem pow atan2 neg abs sign eq ne lt le gt ge and or xor not is_finite"

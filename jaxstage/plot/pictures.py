@@ -1,12 +1,13 @@
 """All pictures of a run as files."""
 
-import os
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
+from jaxstage.files import write_whole
 from jaxstage.plot.axes import axes
 from jaxstage.plot.command import command
 from jaxstage.plot.contour import contour
@@ -50,12 +51,9 @@ def pictures(
 
 def save(drawn: Figure, file: Path) -> None:
     """Write a PNG whole or not at all."""
-    partial = file.with_name(file.name + ".partial")
-    try:
-        drawn.savefig(partial, format="png")
-        os.replace(partial, file)
-    finally:
-        partial.unlink(missing_ok=True)
+    drawing = io.BytesIO()
+    drawn.savefig(drawing, format="png")
+    write_whole(file, drawing.getvalue())
 
 
 def _applies(name: str, shown: View) -> bool:

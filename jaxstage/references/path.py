@@ -8,6 +8,8 @@ smooth pieces that the window touches (see `segments`).
 # pyright: reportArgumentType=false
 # (numpy leaves on the host, JAX arrays once cast)
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -112,19 +114,16 @@ def nearest(path: Path, tick: Array, position: Array) -> Nearest:
         _row(x, row) for x in (path.seats.base, path.seats.start, path.seats.low, path.seats.high)
     )
 
-    def of(i: int) -> Nearest:
-        return _on_piece(path.segments, base[i], start[i], low[i], high[i], position)
-
-    def of_all() -> Nearest:
-        best = of(0)
-        for i in range(1, base.shape[0]):
-            best = _closer(best, of(i))
-        return best
-
+    # only the choice is under the condition, and it has no derivative: JAX cannot transpose the
+    # derivative of a condition that differs from run to run
+    near = partial(_near, *jax.lax.stop_gradient((path.segments, base, start, low, high, position)))
     if base.shape[0] == 1:
-        found = of(0)
+        piece, y = near(1)
     else:
-        found = jax.lax.cond(_row(path.seats.corner, row), of_all, lambda: of(0))
+        everything = partial(near, base.shape[0])
+        corner = _row(path.seats.corner, row)
+        piece, y = jax.lax.cond(corner, everything, partial(near, 1))
+    found = _arrive(path.segments, base[piece], low[piece], high[piece], position, y)
     return replace(found, reach=path.window)
 
 
@@ -137,34 +136,52 @@ def _row(x: Array, row: Array) -> Array:
     return jax.lax.dynamic_index_in_dim(x, row, keepdims=False, allow_negative_indices=False)
 
 
-def _closer(a: Nearest, b: Nearest) -> Nearest:
-    return jax.tree.map(lambda x, y: jnp.where(b.distance < a.distance, y, x), a, b)
+def _near(
+    segments: Segments, base: Array, start: Array, low: Array, high: Array, position: Array,
+    count: int,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Which of the first pieces is the closest, and the coordinate on it before the last step."""
+
+    def on(i: int) -> tuple[Array, Array]:
+        y = start[i]
+        for _ in range(STEPS - 1):
+            y, *_ = _step(segments, base[i], low[i], high[i], position, y)
+        distance = _arrive(segments, base[i], low[i], high[i], position, y).distance
+        return distance, y
+
+    piece = jnp.zeros((), jnp.int32)
+    distance, y = on(0)
+    for i in range(1, count):
+        other, there = on(i)
+        closer = other < distance
+        piece, distance = jnp.where(closer, i, piece), jnp.where(closer, other, distance)
+        y = jnp.where(closer, there, y)
+    return piece, y
 
 
-def _on_piece(
-    segments: Segments, base: Array, start: Array, low: Array, high: Array, position: Array
-) -> Nearest:
-    """Newton in the coordinate y, clamped to [low, high]; the last step carries the gradient.
+def _step(
+    segments: Segments, base: Array, low: Array, high: Array, position: Array, y: Array
+) -> tuple[Array, Array, Array, Array]:
+    """A Newton step in the coordinate y, clamped to [low, high]; and where it began: the index of
+    the segment, its coefficients and its start.
 
     Offsets are taken from the start of the segment, so single precision loses nothing.
     """
-    floor, top = jnp.floor(low), jnp.ceil(high) - 1
+    whole = jnp.clip(jnp.floor(y), jnp.floor(low), jnp.ceil(high) - 1)
+    index = base + whole.astype(jnp.int32)
+    c = segments.cubic.at[index].get(mode="clip")
+    f = y - whole
+    offset = (position - c[0]) - f * (c[1] + f * (c[2] + f * c[3]))
+    first = c[1] + f * (2 * c[2] + 3 * f * c[3])
+    new = y + projection_step(offset, first, 2 * c[2] + 6 * f * c[3])
+    return jnp.clip(new, low, high), index, c, whole
 
-    def segment(y: Array) -> tuple[Array, Array]:
-        whole = jnp.clip(jnp.floor(y), floor, top)
-        return base + whole.astype(jnp.int32), whole
 
-    y = start
-    for last in [False] * (STEPS - 1) + [True]:
-        index, whole = segment(y)
-        c = segments.cubic.at[index].get(mode="clip")
-        f = y - whole
-        offset = (position - c[0]) - f * (c[1] + f * (c[2] + f * c[3]))
-        first = c[1] + f * (2 * c[2] + 3 * f * c[3])
-        new = y + projection_step(offset, first, 2 * c[2] + 6 * f * c[3])
-        y = jnp.clip(new, low, high)
-        if not last:
-            y = jax.lax.stop_gradient(y)
+def _arrive(
+    segments: Segments, base: Array, low: Array, high: Array, position: Array, y: Array
+) -> Nearest:
+    """The last step, which carries the gradient, and the point that it leads to."""
+    y, index, c, whole = _step(segments, base, low, high, position, y)
     f = y - whole
     along = f * (c[1] + f * (c[2] + f * c[3]))
     return Nearest(

@@ -52,6 +52,10 @@ def find(name: str) -> NamedLoop:
     """The loop called ``name``. Raises ValueError with the nearest known name."""
     entries = {entry.name: entry for study in known_studies() for entry in study.loops}
     if name not in entries:
+        study = next((study for study in known_studies() if study.name == name), None)
+        if study is not None:
+            first = ", ".join(entry.name for entry in study.loops[:3])
+            raise ValueError(f"'{name}' is a study: name one of its loops, e.g. {first}")
         hint = nearest_name(name, entries)
         raise ValueError(f"unknown loop '{name}'{hint} (`jaxstage list` shows all)")
     return entries[name]

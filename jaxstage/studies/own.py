@@ -25,8 +25,11 @@ def own_files() -> tuple[Path, ...]:
 
 
 def own_studies() -> tuple[Study, ...]:
-    """Their studies. Raises ValueError in one line for a file that cannot be used."""
-    return tuple(_load(file) for file in own_files())
+    """Their studies. Raises ValueError in one line for a file that cannot be used.
+
+    A file may build published loops while it is read: its own do not count until then.
+    """
+    return tuple(_load(file) for file in own_files() if not _begun(file))
 
 
 def file_digest(loop: str) -> str | None:
@@ -37,9 +40,19 @@ def file_digest(loop: str) -> str | None:
     return None
 
 
+def _name(file: Path) -> str:
+    return f"jaxstage_own_{file.stem}"
+
+
+def _begun(file: Path) -> bool:
+    """Whether the file is being read."""
+    module = sys.modules.get(_name(file))
+    return module is not None and not hasattr(module, "study")
+
+
 @functools.cache
 def _load(file: Path) -> Study:
-    name = f"jaxstage_own_{file.stem}"
+    name = _name(file)
     spec = importlib.util.spec_from_file_location(name, file)
     if not file.is_file() or spec is None or spec.loader is None:
         raise ValueError(f"{VARIABLE}: {file} is not a Python file")
@@ -52,6 +65,7 @@ def _load(file: Path) -> Study:
         raise ValueError(f"{VARIABLE}: {_place(file, error)}: {_said(error)}") from error
     study = getattr(module, "study", None)
     if not isinstance(study, Study):
+        del sys.modules[name]
         raise ValueError(f"{VARIABLE}: {file}: must hold study = Study(...)")
     return study
 

@@ -12,6 +12,7 @@ Call = Callable[[Sequence[str]], object]
 
 def demo(folder: Path, as_json: bool, call: Call) -> None:
     """Run what is missing, then print the verdict. call: runs a command by its words."""
+    from jaxstage.files import goes_on
     from jaxstage.runtime import configure, cpu_cores
     from tuning import folders, runs
 
@@ -23,9 +24,10 @@ def demo(folder: Path, as_json: bool, call: Call) -> None:
     with folders.locked(folder, stages.KIND, "running a demo"):
         try:
             answer = _run(folder, call)
-        except KeyboardInterrupt:
-            _tell(f"jaxstage: stopped; `jaxstage demo --out {folder}` goes on")
-            raise
+        except (KeyboardInterrupt, InterruptedError):
+            raise InterruptedError(f"`jaxstage demo --out {folder}` goes on") from None
+        except OSError as error:
+            raise goes_on(error, f"`jaxstage demo --out {folder}` goes on") from None
     if as_json:
         print(json.dumps(answer, indent=2, allow_nan=False))
         return
@@ -34,9 +36,9 @@ def demo(folder: Path, as_json: bool, call: Call) -> None:
 
 
 def _run(folder: Path, call: Call) -> dict[str, Any]:
+    from jaxstage.files import write_text
     from tuning.demo import answers, stages
     from tuning.reports import kinds
-    from tuning.results import write_text
 
     before = stages.ended(folder)
     for number, stage in enumerate(stages.stages(folder), start=1):

@@ -20,8 +20,8 @@ import jax
 import tomli_w
 
 from jaxstage import __version__
+from jaxstage.files import write_text
 from tuning import folders
-from tuning.results import write_text
 from tuning.tuner.report import ACCEPTED, REFUSED
 
 KIND = folders.Kind("demo.toml", "demo", ("jaxstage", "loops", "plants"))

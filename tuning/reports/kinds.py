@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from jaxstage.files import write_text
 from tuning.reports import comparison, demo, single, sweep, tuned
 from tuning.reports.page import Page, html
-from tuning.results import write_text
 
 
 class Kind(NamedTuple):
@@ -37,7 +37,8 @@ KINDS = (
 def page_of(folder: Path) -> Page:
     """What a folder says. Raises ValueError where it holds none of `KINDS`, or cannot be read."""
     if not folder.is_dir():
-        raise ValueError(f"{folder}: no such folder")
+        told = "is not a folder" if folder.exists() else "no such folder"
+        raise ValueError(f"{folder}: {told}")
     for kind in KINDS:
         if (folder / kind.marker).is_file():
             try:

@@ -162,6 +162,7 @@ def _simulate(
     plan: Any, out: Path, metric: str, executor: Executor | None, cores: int
 ) -> dict[str, Any]:
     """Run what is missing, with a bar on standard error; returns how many runs that was."""
+    from jaxstage.files import goes_on
     from tuning.sweeps.display import bar
     from tuning.sweeps.sweep import sweep as run_sweep
 
@@ -169,13 +170,15 @@ def _simulate(
     try:
         with bar(metric, total) as watch:
             runs = run_sweep(plan.text, out, executor, watch, cores if executor else None)
+    except KeyboardInterrupt:
+        raise InterruptedError("finished chunks are kept, --resume goes on") from None
     except OSError as error:
-        raise OSError(f"{error}; finished chunks are kept, --resume goes on") from None
+        raise goes_on(error, "finished chunks are kept, --resume goes on") from None
     return {"simulated": runs, "seconds": time.perf_counter() - begin}
 
 
 def _tell(found: Any, out: Path, as_json: bool, extra: dict[str, Any]) -> None:
-    from tuning.results import write_text
+    from jaxstage.files import write_text
     from tuning.sweeps.display import show
     from tuning.sweeps.pictures import pictures
     from tuning.sweeps.summary import as_object

@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 import tomli_w
 
 from jaxstage.fields import replace
+from jaxstage.files import write_text
 from jaxstage.settings import nearest_name
 from jaxstage.studies import Case, find
 from tuning.cases import with_values
-from tuning.results import write_text
 from tuning.runs import Prepared, execute
 from tuning.scenarios import run_seed
 from tuning.sweeps import store
@@ -45,7 +45,7 @@ def choose(
     """Which runs: (loop, numbers) each. Raises ValueError for an unknown loop or count."""
     names = [entry["name"] for entry in plan.table["loop"]]
     if loop is not None and loop not in names:
-        raise ValueError(f"--loop {loop}{nearest_name(loop, names)}: one of {', '.join(names)}")
+        raise ValueError(f"--loop {loop}{nearest_name(loop, names)} (there are {', '.join(names)})")
     if run is not None:
         return [(i, [run]) for i, name in enumerate(names) if loop in (None, name)]
     assert worst_of is not None

@@ -14,6 +14,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from jaxstage.files import write_whole
 from tuning import folders
 from tuning.folders import digest
 from tuning.sweeps.configuration import Plan
@@ -70,7 +71,7 @@ def write(folder: Path, plan: Plan, index: int, rows: pa.Table) -> None:
     pq.write_table(rows, data, compression="zstd")
     file = chunk_file(folder, plan, index)
     file.parent.mkdir(parents=True, exist_ok=True)
-    folders.write_whole(file, data.getvalue())
+    write_whole(file, data.getvalue().to_pybytes())
 
 
 def present(folder: Path, plan: Plan) -> list[Path]:

@@ -1,7 +1,6 @@
 """``jaxstage tune``."""
 
 import json
-import sys
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
@@ -103,6 +102,7 @@ def tune(
 def _tune(
     plan: Any, out: Path | None, methods: tuple[str, ...], pareto: bool, as_json: bool
 ) -> None:
+    from jaxstage.files import goes_on
     from tuning.tuner import baselines, display, report
     from tuning.tuner import pareto as trade_offs
     from tuning.tuner.pictures import pictures, simulate_pair, write_rules
@@ -121,9 +121,11 @@ def _tune(
             before, after = outcome.problem.space.gains, outcome.chosen.gains
             pair = simulate_pair(plan.case, before, after, recorded=out is not None)
     except KeyboardInterrupt:
-        told = "; every evaluation is kept, --resume goes on" if out else ""
-        print(f"jaxstage: stopped{told}", file=sys.stderr)
-        raise
+        if out is None:
+            raise
+        raise InterruptedError("every evaluation is kept, --resume goes on") from None
+    except OSError as error:
+        raise goes_on(error, "every evaluation is kept, --resume goes on") from None
     extras = report.Extras(*pair.figures(), others, front)
     answer = report.as_object(outcome, extras)
     names = []

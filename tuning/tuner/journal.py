@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tuning.folders import write_whole
+from jaxstage.files import write_whole
 from tuning.tuner.problem import Problem
 
 Answer = dict[str, np.ndarray]

@@ -7,6 +7,7 @@ import jax
 
 from jaxstage import __version__
 from jaxstage.controllers.fuzzy_rules import OUTPUTS, fuzzy_laws, readable
+from jaxstage.files import write_text
 from jaxstage.metrics import record, together
 from jaxstage.metrics.table import columns, split_key
 from jaxstage.plot import rule_surface, save, sweep, tuning, view
@@ -14,7 +15,6 @@ from jaxstage.signals import Run
 from jaxstage.studies import Case, with_metric
 from jaxstage.studies.verdict import lost_because
 from tuning.folders import digest
-from tuning.results import write_text
 from tuning.tuner.baselines import Course, course
 from tuning.tuner.pareto import Front
 from tuning.tuner.report import Extras, verdict_text

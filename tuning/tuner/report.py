@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxstage import __version__
+from jaxstage.files import write_text
 from jaxstage.metrics.table import split_key
 from tuning.folders import digest
 from tuning.gains_file import TunedGain, to_text
-from tuning.results import write_text
 from tuning.statistics import Interval
 from tuning.tuner.baselines import Course, course
 from tuning.tuner.judging import HeldOut, Trial

@@ -1,0 +1,44 @@
+"""Files that are there whole or not at all."""
+
+import os
+from pathlib import Path
+
+
+def write_whole(file: Path, data: bytes) -> None:
+    """Write a file whole or not at all, also when the power fails.
+
+    Raises OSError that names the file; what stood there before is then as it was.
+    """
+    partial = file.with_name(file.name + ".partial")
+    try:
+        try:
+            with partial.open("wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(partial, file)
+        finally:
+            partial.unlink(missing_ok=True)
+        _keep_name(file.parent)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(file)) from None
+
+
+def write_text(file: Path, text: str) -> None:
+    """`write_whole` of text."""
+    write_whole(file, text.encode())
+
+
+def goes_on(error: OSError, how: str) -> OSError:
+    """The same error, with how the work that it stopped is gone on with."""
+    return OSError(error.errno, f"{error.strerror or error}; {how}", error.filename)
+
+
+def _keep_name(folder: Path) -> None:
+    """Put the names in a folder on the disk, too."""
+    if os.name == "posix":
+        opened = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(opened)
+        finally:
+            os.close(opened)
