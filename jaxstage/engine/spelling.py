@@ -46,6 +46,9 @@ def expression(node: Node, args: list[str], single: bool) -> str:
     if node.op in _LOGIC and node.kind == "b":
         return f"{_LOGIC[node.op]}({', '.join(args)})"
     if node.op == "select":
+        name = _chosen_by_size(node)
+        if name:
+            return f"{name}({', '.join(args[1:])})"
         return f"pick({', '.join(args)}{', 0' if node.kind == 'b' else ''})"
     if node.op == "cast":
         return _cast(node, args[0], single)
@@ -100,6 +103,15 @@ def _extreme(node: Node, args: list[str]) -> str:
     if node.kind == "f" and first.nan:
         args = args[::-1]
     return f"{name}({', '.join(args)})"
+
+
+def _chosen_by_size(node: Node) -> str | None:
+    """``x <= low ? low : x`` is the larger of both; of NaN it is x, the second operand, too."""
+    which, yes, no = node.args
+    if node.kind != "f" or which.op not in ("lt", "le"):
+        return None
+    names = {(no.id, yes.id): "larger", (yes.id, no.id): "smaller"}
+    return names.get((which.args[0].id, which.args[1].id))
 
 
 def _of_truths(node: Node, args: list[str]) -> str:

@@ -95,7 +95,9 @@ def write(
     placed = [(p, at(p.index)) for p in puts]
     for own in guarded:
         where = own[0].where
-        lines += _guarded_stores(own, [p for p in placed if p[0].where is where], name)
+        never = [s for s in plain if _excluded(s, own[0].where, cells)]
+        plain = [s for s in plain if s not in never]
+        lines += _guarded_stores(own, [p for p in placed if p[0].where is where], never, name)
         placed = [p for p in placed if p[0].where is not where]
     for put, place in placed:
         where = "every(true)" if put.where is None else name(put.where)
@@ -187,9 +189,13 @@ def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
 
 
 def _guarded_stores(
-    stores: list[Store], puts: list["tuple[Put, str]"], name: Callable[[Node], str]
-) -> list[str]:
-    """Where the condition holds in every lane, as nearly always, there is nothing to select."""
+    stores: list[Store], puts: list["tuple[Put, str]"], never: list[Store],
+    name: Callable[[Node], str],
+) -> list[str]:  # fmt: skip
+    """Where the condition holds in every lane, as nearly always, there is nothing to select.
+
+    never: stores that change nothing where it holds.
+    """
     where = name(stores[0].where)  # type: ignore[arg-type]
     free = [f"{s.array}[{s.slot}] = {name(s.node)};" for s in stores]
     free += [f"put({p.array}+{p.slot}, {at}, every(true), {name(p.value)});" for p, at in puts]
@@ -197,7 +203,28 @@ def _guarded_stores(
         f"{s.array}[{s.slot}] = pick({where}, {name(s.node)}, {s.array}[{s.slot}]);" for s in stores
     ]
     held += [f"put({p.array}+{p.slot}, {at}, {where}, {name(p.value)});" for p, at in puts]
+    held += [_stored(s, name(s.node)) for s in never]
     return [f"if (__builtin_expect(everywhere({where}), 1)) {{", *free, "} else {", *held, "}"]
+
+
+def _excluded(store: Store, condition: Node | None, cells: Cells) -> bool:
+    """Whether a store is ``other condition ? value : what the cell held``, with a condition that
+    never holds together with this one."""
+    node = store.node
+    if node.op != "select" or store.add or not _holds(store, node.args[2], cells):
+        return False
+    given = _conjuncts(condition) if condition is not None else set()
+    return any(
+        (part, not truth) in given or (not truth and _conjuncts(part) <= given)
+        for part, truth in _conjuncts(node.args[0])
+    )
+
+
+def _conjuncts(node: Node) -> set[tuple[Node, bool]]:
+    """Conditions that must all be as given for a condition to hold."""
+    if node.op == "and":
+        return _conjuncts(node.args[0]) | _conjuncts(node.args[1])
+    return {(node.args[0], False)} if node.op == "not" else {(node, True)}
 
 
 def _guarded(stores: list[Store], cells: Cells) -> tuple[list[list[Store]], list[Store]]:

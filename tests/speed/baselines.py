@@ -30,6 +30,7 @@ class Law(NamedTuple):
     static: np.ndarray
     stribeck: np.ndarray
     load: np.ndarray
+    play: np.ndarray
 
 
 def _law(work: Work) -> Law:
@@ -61,6 +62,7 @@ def numpy_rollout(work: Work) -> np.ndarray:
     weights = np.zeros((36, count), path.dtype)
     step = path.dtype.type(DT)
     total = np.zeros(work.lanes, path.dtype)
+    current = np.zeros_like(v)
     for row in path:
         error, rate = row[axis] - x, row[2 + axis] - v
         total += np.sqrt((error.reshape(2, -1) ** 2).sum(0))
@@ -70,7 +72,8 @@ def numpy_rollout(work: Work) -> np.ndarray:
         active -= 2 * step * law.rate * law.credit * law.gain * surface * strength
         weights[cells, lane] = active
         u = (strength * active).sum(0) - law.eta / law.gain * np.sign(surface)
-        free = v + step * (law.force * u - law.load) / law.mass
+        current = u - np.clip(u - current, -law.play, law.play)
+        free = v + step * (law.force * current - law.load) / law.mass
         limit = step * _limit(law, v)
         v = (free - np.clip(free, -limit, limit)) / (1 + step * law.damping / law.mass)
         x = x + step * v
@@ -87,7 +90,8 @@ def numpy_rate(work: Work) -> tuple[float, np.ndarray]:
 def scipy_rate(work: Work, duration: float) -> tuple[float, int]:
     """Control periods per second of solve_ivp (RK45), and its evaluations of the derivative.
 
-    The continuous closed loop: the law acts all the time, friction and switch are smooth. (The
+    The continuous closed loop: the law acts all the time, without play; friction and switch are
+    smooth. (The
     implicit solvers are slower by far: the law's cells make the derivative jump.)
     """
     law, path = _law(work), path_rows(work)

@@ -27,7 +27,7 @@ def _error(work: Work) -> Callable[[Array, Any, Any], Array]:
     def error(values: Array, gains: Any, plant: Any) -> Array:
         own = js.replace(gains, **dict(zip(NAMES, values.reshape(4, 2), strict=True)))
         scenario = js.replace(work.scenario, plant=plant)
-        return js.simulate(work.loop, own, scenario, work.path, work.ticks).report.ate
+        return js.simulate(work.loop, own, scenario, work.path, work.ticks).report
 
     return error
 

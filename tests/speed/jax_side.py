@@ -38,5 +38,5 @@ def vmapped(work: Work) -> Callable[[], Any]:
 
 
 def tracking_error(report: Any) -> Any:
-    """ATE of every run in m, from a report with or without other metrics."""
-    return report["tracking"].ate if isinstance(report, dict) else report.ate
+    """ATE of every run in m, from a report of all metrics or of `average`."""
+    return report["tracking"].ate if isinstance(report, dict) else report

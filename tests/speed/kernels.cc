@@ -23,7 +23,7 @@ struct Job {
   real* ate;
 };
 
-enum PlantRow { FORCE, MASS, DAMPING, COULOMB, STATIC, STRIBECK, LOAD, PLANT_ROWS };
+enum PlantRow { FORCE, MASS, DAMPING, COULOMB, STATIC, STRIBECK, LOAD, PLAY, PLANT_ROWS };
 enum CmacRow { SLOPE, RATE, CREDIT, ETA, ERROR_WIDTH, RATE_WIDTH, RATIO, AUTHORITY, CMAC_ROWS };
 enum SlidingRow { C1, REACH, WIDTH, GAIN, DRAG, BIAS, SLIDING_ROWS };
 
@@ -31,15 +31,18 @@ INLINE vec row(const Job& job, int64_t lane, int index, int axis) {
   return load(job.rows + (2 * index + axis) * job.lanes + lane);
 }
 
-// Position and velocity of one axis; the dry friction is implicit, so that it sticks exactly.
+// One axis: current behind a play, position and velocity; the dry friction is implicit, so that it
+// sticks exactly.
 struct Axis {
-  vec position, velocity, push, load, coulomb, fading, slowness, factor;
+  vec position, velocity, current, play, push, load, coulomb, fading, slowness, factor;
 
   __attribute__((always_inline)) inline void begin(const Job& job, int64_t lane, int first, int a) {
     auto value = [&](int index) { return row(job, lane, first + index, a); };
     vec kick = job.dt / value(MASS);
     position = all(job.path[a]);
     velocity = all(0);
+    current = all(0);
+    play = value(PLAY);
     push = kick * value(FORCE);
     load = kick * value(LOAD);
     coulomb = kick * value(COULOMB);
@@ -49,7 +52,8 @@ struct Axis {
   }
   __attribute__((always_inline)) inline void step(vec command, real dt) {
     vec share = velocity * slowness;
-    vec free = velocity + push * command - load;
+    current = command - smaller(larger(command - current, -play), play);
+    vec free = velocity + push * current - load;
     vec limit = coulomb + fading * exponential(-share * share);
     vec slid = free - smaller(larger(free, -limit), limit);
     velocity = slid * factor;
