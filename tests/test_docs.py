@@ -30,8 +30,12 @@ def files(page):
 
 @pytest.fixture
 def folder(command, monkeypatch):
-    """An empty folder in which files of a page can import each other, forgotten afterwards."""
+    """An empty folder in which files of a page can import each other, forgotten afterwards.
+
+    Tunings are only begun: the search is tested elsewhere.
+    """
     few_figures(monkeypatch)
+    monkeypatch.setattr("tuning.tuner.cli._tune", lambda plan, *_: plan.space)
     monkeypatch.syspath_prepend(os.getcwd())
     monkeypatch.setattr(
         "tuning.sweeps.pictures.pictures", lambda found, folder: []

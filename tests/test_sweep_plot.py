@@ -57,6 +57,21 @@ def test_a_sweep_that_is_all_lost_can_be_drawn():
     sweep.versus(lost, lost, "words", SHEET)
 
 
+def test_samples_far_apart_are_all_resolved():
+    """Bins are shared, so that heights compare, and as narrow as the narrowest sample needs."""
+    near, far = SOURCE.lognormal(0.0, 0.3, 400), SOURCE.lognormal(4.0, 0.02, 400)
+    samples = [sweep.Sample("near", near, None), sweep.Sample("far", far, None)]
+    drawn = sweep.distribution(samples, SHEET._replace(limit=None))
+    outlines = [p for p in drawn.axes[0].patches if not p.get_fill()]
+    for patch, values in zip(outlines, (near, far), strict=True):
+        heights = patch.get_path().vertices[:, 1]
+        # an outline goes up and down: two corners a bin
+        assert len(np.unique(patch.get_path().vertices[heights > 0, 0])) > 8
+        assert heights.max() < len(values) / 2
+    one = sweep.Sample("constant", np.full(9, 3.0), None)
+    assert sweep.distribution([one], SHEET).axes[0].patches
+
+
 def test_failing_and_lost_plants_are_marked():
     names = ["plant.mass x (kg)", "plant.load x (N)"]
     columns = {name: SOURCE.random(400) for name in names}

@@ -44,7 +44,7 @@ WRONG = {
     "a misspelt study": ("compare fuzy-cmac", "unknown study 'fuzy-cmac'; did you mean 'fuzzy-cm"),
     "a misspelt figure": (
         "sweep pi-circle -n 8 --out new --metric contour_mx_um",
-        "unknown figure 'contour_mx_um'; did you mean 'contour_max_um'?",
+        "--metric contour_mx_um: no such figure; did you mean 'contour_max_um'?",
     ),
     "a unit": ("run pi-circle --set plant.mass=3g", "units are not written, this one is kg"),
     "a unit of a law": ("run pi-circle --set K=3A", "units are not written, this one is A/m"),
@@ -237,6 +237,10 @@ def test_another_configuration_says_what_differs(tmp_path):
     folders.create(tmp_path / "new", kind, "seed = 0\n", resume=False)
     with pytest.raises(ValueError, match=r"of another configuration; seed: 0 -> 1$"):
         folders.create(tmp_path / "new", kind, "seed = 1\n", resume=True)
+    both = '[[loop]]\nname = "a"\ndt = 1\n[[loop]]\nname = "b"\ndt = 1\n'
+    one = '[[loop]]\nname = "a"\ndt = 2\n'
+    assert folders.differences(both, one) == ["loop.a.dt: 1 -> 2", "loop.b: given -> none"]
+    assert folders.differences("x = 1\n", one) == ["x: 1 -> none", "loop: none -> given"]
     with pytest.raises(ValueError, match="holds this sweep already: --resume goes on with it"):
         folders.create(tmp_path / "new", kind, "seed = 0\n", resume=False)
 

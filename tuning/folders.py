@@ -93,23 +93,26 @@ def digest(text: str) -> str:
 
 def differences(old: str, new: str) -> list[str]:
     """What differs between two configurations, ``name: old -> new`` each."""
-    before, after = (_flat("", tomllib.loads(text)) for text in (old, new))
-    return [
-        f"{name}: {before.get(name, 'none')} -> {after.get(name, 'none')}"
-        for name in {**before, **after}
-        if before.get(name) != after.get(name)
-    ]
+    return list(_differing("", tomllib.loads(old), tomllib.loads(new)))
 
 
-def _flat(prefix: str, value: Any) -> dict[str, Any]:
-    """Every number of nested tables by its dotted name; tables in lists by their own name."""
-    if isinstance(value, dict):
-        inner = value.items()
-    elif isinstance(value, list) and value and isinstance(value[0], dict):
-        inner = ((str(v.get("name", v.get("path", i))), v) for i, v in enumerate(value))
-    else:
-        return {prefix: value}
-    flat: dict[str, Any] = {}
-    for name, item in inner:
-        flat |= _flat(f"{prefix}.{name}" if prefix else str(name), item)
-    return flat
+def _differing(name: str, before: Any, after: Any) -> Iterator[str]:
+    """Numbers of nested tables by their dotted name; tables in lists by their own name."""
+    one, other = _table(before), _table(after)
+    if one is not None and other is not None:
+        for inner in {**one, **other}:
+            dotted = f"{name}.{inner}" if name else inner
+            yield from _differing(dotted, one.get(inner), other.get(inner))
+    elif before != after:
+        yield f"{name}: {_told(before)} -> {_told(after)}"
+
+
+def _table(value: Any) -> dict[str, Any] | None:
+    """A table, or a list of tables by their names; None for anything else."""
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return {str(v.get("name", v.get("path", i))): v for i, v in enumerate(value)}
+    return value if isinstance(value, dict) else None
+
+
+def _told(value: Any) -> str:
+    return "none" if value is None else "given" if _table(value) is not None else str(value)

@@ -18,6 +18,8 @@ from jaxstage.plot.style import AXIS_COLOURS, LARGE, LOST, NORMAL, REFERENCE, SM
 
 #: points of a scatter that are drawn, of those that pass
 POINTS = 3000
+#: bins of all samples together
+MOST_BINS = 400
 #: a figure that spans more than this ratio is drawn on a log axis
 DECADES = 20.0
 
@@ -87,15 +89,11 @@ def distribution(samples: Sequence[Sample], sheet: Sheet) -> Figure:
     )
     often, share = drawn.subplots(1, 2)
     every = [s.values for s in samples]
-    finite = np.concatenate([v[np.isfinite(v)] for v in every])
-    if not len(finite):
+    if not any(np.isfinite(v).any() for v in every):
         often.text(0.5, 0.5, "all runs were lost", ha="center", fontsize=NORMAL, color=LOST)
         return drawn
     logarithmic = scale((often.set_xscale, share.set_xscale), *every)
-    space = np.geomspace if logarithmic else np.linspace
-    low, high = finite.min(), finite.max()
-    high = high if high > low else low + max(abs(low), 1.0) * 1e-3
-    bins = space(low, high, min(80, 10 + int(math.sqrt(len(finite)))))
+    bins = _bins([s.values[np.isfinite(s.values)] for s in samples], logarithmic)
     for sample, colour in zip(samples, cycle(AXIS_COLOURS)):
         kept = sample.values[np.isfinite(sample.values)]
         often.hist(kept, bins.tolist(), color=colour, histtype="stepfilled", alpha=0.25)
@@ -120,6 +118,21 @@ def distribution(samples: Sequence[Sample], sheet: Sheet) -> Figure:
     share.set_ylim(0, 1.02)
     share.legend(loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=SMALL, frameon=False)
     return drawn
+
+
+def _bins(samples: Sequence[np.ndarray], logarithmic: bool) -> np.ndarray:
+    """Edges of bins that all samples share, so narrow that the narrowest has about ten: heights
+    can be compared, however far apart the samples lie."""
+    values = [np.log10(s) if logarithmic else s for s in samples if len(s)]
+    low, high = min(map(np.min, values)), max(map(np.max, values))
+    high = high if high > low else low + max(abs(low), 1.0) * 1e-3
+    narrowest = min((np.ptp(v) for v in values if np.ptp(v) > 0), default=high - low)
+    each = min(40, 5 + math.sqrt(max(map(len, values))) / 3)
+    edges = np.linspace(low, high, 1 + min(MOST_BINS, math.ceil(each * (high - low) / narrowest)))
+    edges = 10**edges if logarithmic else edges
+    ends = np.concatenate(samples)
+    edges[[0, -1]] = min(edges[0], ends.min()), max(edges[-1], ends.max())  # of the rounding
+    return edges
 
 
 def _cumulative(ax: Axes, sample: Sample, kept: np.ndarray, colour: str) -> None:

@@ -19,6 +19,7 @@ from jaxstage.studies.comparison import compare as compare
 from jaxstage.studies.comparison import stored_verdicts as stored_verdicts
 from jaxstage.studies.own import own_studies
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
+from jaxstage.studies.study import Box as Box
 from jaxstage.studies.study import NamedLoop as NamedLoop
 from jaxstage.studies.study import Spread as Spread
 from jaxstage.studies.study import Study as Study

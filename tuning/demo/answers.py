@@ -111,7 +111,8 @@ def _winner(pair: Found) -> str:
     value, *ends = (share[key] if first else 1 - share[key] for key in ("value", "low", "high"))
     low, high = sorted(ends)
     name = pair["first"] if first else pair["second"]
-    return f"{name} on {value:.1%} of them ({low:.1%} to {high:.1%})"
+    told, *ends = (f"{100 * x:.1f} %" for x in (value, low, high))
+    return f"{name} on {told} of them ({ends[0]} to {ends[1]})"
 
 
 def picture(folder: Path, answer: Found) -> Path:

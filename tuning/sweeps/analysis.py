@@ -104,7 +104,7 @@ def choose_metric(plan: Plan, spec: Specification | None, name: str | None) -> s
     known = [n for n in figure_names(plan.cases[0]) if n in columns]
     if name is not None:
         if name not in known:
-            raise ValueError(f"--metric: unknown figure '{name}'{nearest_name(name, known)}")
+            raise ValueError(f"--metric {name}: no such figure{nearest_name(name, known)}")
         return name
     limited = [n for n in (spec.limits if spec else ()) if n in known]
     usual = [n for n in FIGURES if n in known]

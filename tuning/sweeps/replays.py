@@ -45,7 +45,7 @@ def choose(
     """Which runs: (loop, numbers) each. Raises ValueError for an unknown loop or count."""
     names = [entry["name"] for entry in plan.table["loop"]]
     if loop is not None and loop not in names:
-        raise ValueError(f"--loop {loop}{nearest_name(loop, names)} (there are {', '.join(names)})")
+        raise ValueError(f"--loop {loop}: one of {', '.join(names)}{nearest_name(loop, names)}")
     if run is not None:
         return [(i, [run]) for i, name in enumerate(names) if loop in (None, name)]
     assert worst_of is not None
