@@ -8,7 +8,9 @@ smooth pieces that the window touches (see `segments`).
 # pyright: reportArgumentType=false
 # (numpy leaves on the host, JAX arrays once cast)
 
+import functools
 from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +21,7 @@ from numpy.typing import DTypeLike
 from jaxstage.blocks import Reference
 from jaxstage.fields import part, pytree, replace, signal
 from jaxstage.numerics.geometry import norm, projection_step
-from jaxstage.references.arc import arc_at, arc_table, as_double, host_frame, spans
+from jaxstage.references.arc import ArcTable, arc_at, arc_table, as_double, host_frame, spans
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 from jaxstage.references.segments import (
     Seats,
@@ -61,11 +63,8 @@ def make_path(
     if not 0 < window <= 0.25:
         raise ValueError(f"window must be in (0, 0.25] of a lap; got {window!r}")
     curve = as_double(curve)
-    table = arc_table(curve)
+    table, segments, unrolled, rows, error, endless = _cut_up(curve)
     moments = timing(curve, table)
-    bounds = arc_at(curve, table, curve.knots[np.append(spans(curve), len(curve.weights))])
-    pieces, endless = smooth_pieces(curve)
-    segments, unrolled, rows, error = lap_segments(curve, table, bounds, pieces)
     shifts = (-1, 0, 1) if is_closed(curve) and not endless else (0,)
     seats = lap_seats(segments, unrolled, rows, moments.arc, table.arc[-1], window, shifts)
     path = Path(
@@ -78,6 +77,33 @@ def make_path(
     return jax.tree.map(
         lambda x: jnp.asarray(x, real if np.issubdtype(x.dtype, np.floating) else x.dtype), path
     )
+
+
+class _Cut(NamedTuple):
+    """What depends on the curve alone. unrolled, rows, error: see `lap_segments`."""
+
+    table: ArcTable
+    segments: Segments
+    unrolled: np.ndarray
+    rows: np.ndarray
+    error: np.ndarray
+    endless: bool
+
+
+def _cut_up(curve: Nurbs) -> _Cut:
+    """The table and the segments of a float64 curve, made once for equal curves."""
+    leaves, structure = jax.tree.flatten(curve)
+    return _cut(structure, tuple((leaf.shape, leaf.tobytes()) for leaf in leaves))
+
+
+@functools.lru_cache(maxsize=32)
+def _cut(structure: Any, leaves: tuple[tuple[tuple[int, ...], bytes], ...]) -> _Cut:
+    arrays = [np.frombuffer(data).reshape(shape) for shape, data in leaves]
+    curve: Nurbs = jax.tree.unflatten(structure, arrays)
+    table = arc_table(curve)
+    bounds = arc_at(curve, table, curve.knots[np.append(spans(curve), len(curve.weights))])
+    pieces, endless = smooth_pieces(curve)
+    return _Cut(table, *lap_segments(curve, table, bounds, pieces), endless)
 
 
 def mean_feed(path: Path) -> Array:
