@@ -63,8 +63,10 @@ def make_path(
     if not 0 < window <= 0.25:
         raise ValueError(f"window must be in (0, 0.25] of a lap; got {window!r}")
     curve = as_double(curve)
-    table, segments, unrolled, rows, error, endless = _cut_up(curve)
-    moments = timing(curve, table)
+    leaves, structure = jax.tree.flatten(curve)
+    key = (structure, tuple((leaf.shape, leaf.tobytes()) for leaf in leaves))
+    table, segments, unrolled, rows, error, endless = _cut(key)
+    moments = _ticks(key, timing)
     shifts = (-1, 0, 1) if is_closed(curve) and not endless else (0,)
     seats = lap_seats(segments, unrolled, rows, moments.arc, table.arc[-1], window, shifts)
     path = Path(
@@ -90,20 +92,29 @@ class _Cut(NamedTuple):
     endless: bool
 
 
-def _cut_up(curve: Nurbs) -> _Cut:
-    """The table and the segments of a float64 curve, made once for equal curves."""
-    leaves, structure = jax.tree.flatten(curve)
-    return _cut(structure, tuple((leaf.shape, leaf.tobytes()) for leaf in leaves))
+#: structure of a curve, and the shape and the bytes of each of its arrays
+_Key = tuple[Any, tuple[tuple[tuple[int, ...], bytes], ...]]
+
+
+def _curve(key: _Key) -> Nurbs:
+    arrays = [np.frombuffer(data).reshape(shape) for shape, data in key[1]]
+    return jax.tree.unflatten(key[0], arrays)
 
 
 @functools.lru_cache(maxsize=32)
-def _cut(structure: Any, leaves: tuple[tuple[tuple[int, ...], bytes], ...]) -> _Cut:
-    arrays = [np.frombuffer(data).reshape(shape) for shape, data in leaves]
-    curve: Nurbs = jax.tree.unflatten(structure, arrays)
+def _cut(key: _Key) -> _Cut:
+    """The table and the segments of a float64 curve, made once for equal curves."""
+    curve = _curve(key)
     table = arc_table(curve)
     bounds = arc_at(curve, table, curve.knots[np.append(spans(curve), len(curve.weights))])
     pieces, endless = smooth_pieces(curve)
     return _Cut(table, *lap_segments(curve, table, bounds, pieces), endless)
+
+
+@functools.lru_cache(maxsize=8)
+def _ticks(key: _Key, timing: LapTiming) -> Ticks:
+    """The ticks of a lap, made once for equal curves and the same timing."""
+    return timing(_curve(key), _cut(key).table)
 
 
 def mean_feed(path: Path) -> Array:
