@@ -110,6 +110,9 @@ def test_a_stopped_sweep_goes_on_without_its_words(command, shared):
     assert result.status == 0
     found = strict_json((shared / "summary.json").read_text())
     assert found["simulated"] == 4
+    worst = whole["worst"][0]
+    assert worst["loop"] == "pi-circle", "not among those that were simulated again"
+    assert f"0 lost, worst contour max {worst['value']:.4g} um" in result.err
     for key in ("loops", "comparisons", "worst", "configuration_sha256"):
         assert found[key] == whole[key]
     for text in (
