@@ -16,10 +16,10 @@ from jaxstage.engine import primitives
 from jaxstage.engine.kernels import kernel
 from jaxstage.engine.program import is_real
 from jaxstage.fields import replace
-from jaxstage.metrics import tracking
+from jaxstage.metrics import high_frequency, tracking
 from jaxstage.rollout import compiled_form, start
 from jaxstage.sensors import Noisy, ideal_sensor, noisy
-from jaxstage.studies import all_studies
+from tests.speed.agreement import distinct, moved, spread
 
 TICKS = 30
 #: one loop of each machine with each kind of law, coupled, with sensors, delays and observers
@@ -33,17 +33,6 @@ LOOPS = (
 def case(name):
     found = js.build(name)
     return found._replace(loop=replace(found.loop, metric=tracking))
-
-
-def spread(tree, lanes, seed=0):
-    """The tree for many runs, within 5 %."""
-    random = np.random.default_rng(seed)
-    return jax.tree.map(
-        lambda x: jnp.asarray(
-            np.asarray(x) * random.uniform(0.95, 1.05, (lanes, *x.shape)), x.dtype
-        ),
-        tree,
-    )
 
 
 def run(c, engine, gains, ticks=TICKS, **changes):
@@ -65,12 +54,6 @@ def close(a, b, tolerance):
         np.testing.assert_allclose(y / scale, x / scale, rtol=0, atol=tolerance)
 
 
-def moved(result):
-    """What a run comes to: the machine, what the law remembers, the figures. (The sliding variable
-    is what is left of two numbers that cancel.)"""
-    return result.final.state, result.final.metric, result.final.step, result.final.left_path_at
-
-
 @pytest.mark.parametrize("name", LOOPS)
 def test_compiled_equals_scan(name):
     c = case(name)
@@ -89,16 +72,40 @@ def program(c, **changes):
     return compiled_form(loop, c.gains, c.scenario, c.path, zeros)[0]
 
 
-def distinct():
-    """The published loops with different blocks."""
-    seen = {}
-    for study in all_studies:
-        for entry in study.loops:
-            c = entry.build(entry.timing)
-            loop = c.loop
-            key = loop.plant, loop.controller, loop.sensor, loop.drive, loop.reference.name
-            seen.setdefault(key, (entry.name, c._replace(loop=replace(loop, metric=tracking))))
-    return dict(seen.values())
+def test_long_arrays_are_loops_in_the_kernel():
+    """80 bins of a spectrum, in a kernel of every kind; the last run leaves its path on the way."""
+    ticks = 200
+    c = case("cascade-circle")
+    metric = high_frequency(0.4 / c.loop.dt, ticks, c.loop.dt)
+    gains = jax.tree.map(lambda x: x.at[2].multiply(-40.0), spread(c.gains, 3))
+
+    def of(engine):
+        loop = replace(c.loop, metric=metric, engine=engine, path_limit=1e-4)
+
+        def sums(g):
+            return js.simulate(loop, g, c.scenario, c.path, ticks).final
+
+        def power(g):
+            acc = sums(g).metric
+            return jnp.sum(acc.cosine**2) + jnp.sum(acc.sine**2)
+
+        one = jax.tree.map(lambda x: x[0], gains)
+        along = jax.jvp(power, (one,), (jax.tree.map(jnp.ones_like, one),))[1]
+        final = jax.vmap(sums)(gains)
+        return (final.metric, along, jax.grad(power)(one)), final.left_path_at
+
+    (expected, lost), (found, also) = (jax.jit(of, static_argnums=0)(e) for e in (scan, compiled))
+    assert 0 < lost[2] < ticks and lost[0] == -1
+    np.testing.assert_array_equal(lost, also)
+    close(expected, found, 1e-11)
+    assert all(np.any(np.asarray(x) != 0) for x in jax.tree.leaves(expected))
+    text = kernel(program(c, metric=metric), "forward", shared_by_all(c, metric)).text
+    assert text.count("for (int k = 0; k < 80; k++)") >= 6
+
+
+def shared_by_all(c, metric):
+    one = program(c, metric=metric)
+    return (False,) * (len(one.shared) + len(one.carry))
 
 
 @pytest.mark.fast

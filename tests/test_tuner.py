@@ -9,10 +9,20 @@ import numpy as np
 import pytest
 
 import jaxstage as js
-from jaxstage.metrics import selected
+from jaxstage.metrics import record, selected, together
+from jaxstage.studies import with_metric
 from tuning.scenarios import draw, space, study_spreads
 from tuning.tuner.cma import cma_es
-from tuning.tuner.figures import available
+from tuning.tuner.figures import (
+    CHANGE,
+    CONTOUR,
+    FOLLOWING,
+    PIECES,
+    available,
+    growth,
+    pieces,
+    smooth_max,
+)
 from tuning.tuner.first_order import first_order
 from tuning.tuner.gradient_check import gradient_check, judged
 from tuning.tuner.groups import make_group
@@ -21,7 +31,14 @@ from tuning.tuner.levenberg_marquardt import levenberg_marquardt
 from tuning.tuner.method import Method
 from tuning.tuner.objective import LOST, Term, cvar, mean, parse_goals, worst
 from tuning.tuner.prices import Prices
-from tuning.tuner.problem import curvatures, evaluate, make_problem, slopes, with_weights
+from tuning.tuner.problem import (
+    curvatures,
+    evaluate,
+    make_problem,
+    scales_of,
+    slopes,
+    with_weights,
+)
 from tuning.tuner.random_search import RandomState, random_search
 from tuning.tuner.space import Search, search_space
 from tuning.tuner.tune import tune
@@ -81,6 +98,46 @@ def test_figures_are_those_of_single_runs():
         assert found.columns["energy_copper_J"][1, run] == pytest.approx(
             columns["energy_copper_J"], rel=1e-9
         )
+
+
+def test_sums_of_a_run_are_those_of_its_record():
+    """Squares of each piece, the smooth maximum and the growth, against every recorded tick."""
+    first = 60
+    window = case().window._replace(start=first)
+    own = together(
+        record, pieces((CONTOUR, FOLLOWING, CHANGE), window), smooth_max(window), growth(TICKS)
+    )
+    run = with_metric(case(), own).simulate()
+    rows, report = run.rows["record"], run.report
+    error = np.asarray(rows.setpoint.position - rows.output.position)
+    contour = np.asarray(rows.nearest.distance)
+    command = np.asarray(rows.command)
+    change = np.diff(command, axis=0, prepend=command[:1])
+    inside = TICKS - first
+    for name, square in (
+        ("contour", contour**2), ("following", np.mean(error**2, axis=1)),
+        ("change", np.mean(change**2, axis=1)),
+    ):  # fmt: skip
+        parts = square[first:].reshape(PIECES, -1).sum(axis=1) / inside
+        np.testing.assert_allclose(report["pieces"][name], parts, rtol=1e-10)
+    power = np.mean(np.abs(contour[first:]) ** 16) ** (1 / 16)
+    assert float(report["smooth_max"]) == pytest.approx(power, rel=1e-10)
+    thirds = np.sum(error**2, axis=1).reshape(3, -1).mean(axis=1)
+    assert float(report["growth"]) == pytest.approx(np.sqrt(thirds[2] / thirds[1]), rel=1e-10)
+
+
+def test_a_smooth_command_is_not_the_price_of_accuracy():
+    """The changes of a command count as 1 from 2 % of its RMS on, or from where they were."""
+    before = problem().before
+    assert before is not None
+    found = {}
+    for share in (0.001, 0.1):
+        change = share * before.columns["command_rms_A"]
+        columns = {**before.columns, "command_change_rms_A": change}
+        found[share] = scales_of(problem(), before._replace(columns=columns))
+    np.testing.assert_allclose(found[0.001] / found[0.1], [1, 1, 0.02 / 0.1], rtol=1e-12)
+    told = problem()._replace(terms=(Term("command_change_rms_A", scale=1e-6),))
+    assert scales_of(told, before) == [1e-6], "what the user says is not touched"
 
 
 def test_the_objective_is_the_sum_of_its_terms():
@@ -230,9 +287,11 @@ def test_every_method_improves_and_says_what_it_spent():
 
 
 def test_the_method_is_chosen_by_size_and_check():
-    found = tuned(None, budget=40.0)
+    found, alone = tuned(None, budget=200.0), tuned(levenberg_marquardt(), budget=200.0)
     assert found.method == "lm" and found.check is not None and found.check.ok
-    assert found.after < 0.97
+    assert alone.units < 150 and alone.ended == "no start finds anything better"
+    assert found.units >= 200, "CMA-ES goes on from where it ended"
+    assert found.after <= alone.after < 0.97 and found.starts[0].objective == alone.after
 
 
 def test_a_start_that_falls_behind_is_given_up():

@@ -26,7 +26,7 @@ class Graph(NamedTuple):
     """Nodes in the order in which they were made: arguments stand before their users.
 
     largest: of the real type; what may exceed it may be infinite. rich: for a kernel, which may
-    also hold ``all_finite`` of any number of arguments, and ``loop`` (see `inner`).
+    also hold ``all_finite`` and ``sum`` of any number of arguments, and ``loop`` (see `inner`).
     """
 
     nodes: list[Node]
@@ -63,7 +63,7 @@ class Graph(NamedTuple):
         return self._found("load", kind, (index,), value, (low, high), kind == "f" and not finite)
 
     def special(self, op: str, args: tuple[Node, ...], value: Any, kind: str) -> Node:
-        """A ``loop`` or what comes after it, see `inner`."""
+        """A ``loop`` or what comes after it, see `inner`; a ``sum``."""
         return self._found(op, kind, args, value, LIMITS[kind], kind == "f")
 
     def op(self, name: str, *args: Node, kind: str = "") -> Node:

@@ -20,7 +20,7 @@ from jaxstage.engine.program import (
     tangent_jaxpr,
 )
 from jaxstage.engine.source import function, handler, heading, source_of
-from jaxstage.engine.statements import Store
+from jaxstage.engine.stores import Store
 
 
 class Kernel(NamedTuple):

@@ -10,7 +10,8 @@ from jaxstage.engine.parts import FIXED, RUN, TICK, Parts, Steps, counters, cut,
 from jaxstage.engine.program import Program
 from jaxstage.engine.scalar import evaluate, lifted
 from jaxstage.engine.spelling import constant
-from jaxstage.engine.statements import Cells, Known, Store, write
+from jaxstage.engine.statements import Known, write
+from jaxstage.engine.stores import Cells, Store
 from jaxstage.engine.table import WRITTEN_OUT, Table
 
 #: shared arrays of more elements stay in memory
@@ -177,17 +178,20 @@ def layout(program: Program, lowered: Lowered, moving: tuple[int, ...]) -> Layou
 def cells(where: Layout) -> Cells:
     """How inputs are read in C++."""
 
-    def read(node: Node) -> str:
+    def slot(node: Node) -> tuple[str, int]:
         (group, number), element = node.value
         whole = node.kind != "f"
         if group == "c":
-            text = f"{'ci' if whole else 'c'}[{where.carry[number][1] + element}]"
-        elif group in "dg":
-            text = f"{group}[{where.moving[group, number] + element}]"
-        elif group == "q":
-            text = f"load(Q+{where.moving[group, number] + element}*NB+b)"
-        else:
-            text = _READ[group, whole].format(where.groups[group].slot(node))
+            return ("ci[{}]" if whole else "c[{}]"), where.carry[number][1] + element
+        if group in "dg":
+            return f"{group}[{{}}]", where.moving[group, number] + element
+        if group == "q":
+            return "load(Q+{}*NB+b)", where.moving[group, number] + element
+        return _READ[group, whole], where.groups[group].slot(node)
+
+    def read(node: Node) -> str:
+        form, number = slot(node)
+        text = form.format(number)
         if node.kind == "u":
             return f"to_uint32({text})"
         return f"as_mask({text})" if node.kind == "b" else text
@@ -202,7 +206,7 @@ def cells(where: Layout) -> Cells:
             return group, where.moving[group, number]
         raise NotImplementedError("an index into parameters that each run has for itself")
 
-    return Cells(read, array)
+    return Cells(read, array, slot)
 
 
 _READ = {

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxstage.engine.graph import Graph
 from jaxstage.engine.node import Node, kind_of
+from jaxstage.engine.rolling import LONG
 
 
 def elementwise(f: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
@@ -26,6 +27,14 @@ def tree_sum(g: Graph, name: str, nodes: list[Node]) -> Node:
         pairs = [nodes[i : i + 2] for i in range(0, len(nodes), 2)]
         nodes = [g.op(name, *pair) if len(pair) == 2 else pair[0] for pair in pairs]
     return nodes[0]
+
+
+def long_sum(g: Graph, nodes: list[Node]) -> Node:
+    """The sum; one node where a kernel may make a loop of it."""
+    nodes = [n for n in nodes if not (n.op == "const" and n.value == 0)] or nodes[:1]
+    if g.rich and len(nodes) >= LONG and nodes[0].kind == "f":
+        return g.special("sum", tuple(nodes), None, "f")
+    return tree_sum(g, "add", nodes)
 
 
 def conjunction(g: Graph, nodes: list[Node]) -> Node:
@@ -48,8 +57,40 @@ def conjunction(g: Graph, nodes: list[Node]) -> Node:
 
 
 def _finite_together(g: Graph, nodes: list[Node]) -> list[Node]:
-    """Without claims that follow from others: what a finite sum or product is made of is finite."""
-    claimed = [n.args[0] for n in nodes if n.op == "is_finite"]
+    """Without claims that follow from others: what a finite sum or product is made of is finite.
+
+    Claims under one condition, ``condition or is_finite(x)``, are together, too.
+    """
+    conditions: dict[Node | None, list[Node]] = {}
+    rest = []
+    for node in nodes:
+        condition, claimed = _under(node)
+        if claimed is None:
+            rest.append(node)
+        else:
+            conditions.setdefault(condition, []).append(claimed)
+    for condition, claimed in conditions.items():
+        left = _not_implied(claimed)
+        if g.rich and len(left) > 1:
+            left = [g.op("all_finite", *left)]
+        else:
+            left = [g.op("is_finite", c) for c in left]
+        rest += [n if condition is None else g.op("or", condition, n) for n in left]
+    return rest
+
+
+def _under(node: Node) -> tuple[Node | None, Node | None]:
+    """(condition, x) of ``condition or is_finite(x)``, with None for what there is not."""
+    if node.op == "is_finite":
+        return None, node.args[0]
+    if node.op == "or" and node.kind == "b":
+        for condition, claim in (node.args, node.args[::-1]):
+            if claim.op == "is_finite":
+                return condition, claim.args[0]
+    return None, None
+
+
+def _not_implied(claimed: list[Node]) -> list[Node]:
     implied: set[int] = set()
     stack = [a for c in claimed for a in _made_of(c)]
     while stack:
@@ -57,15 +98,11 @@ def _finite_together(g: Graph, nodes: list[Node]) -> list[Node]:
         if node.id not in implied:
             implied.add(node.id)
             stack.extend(_made_of(node))
-    left = [c for c in claimed if c.id not in implied]
-    rest = [n for n in nodes if n.op != "is_finite"]
-    if g.rich and len(left) > 1:
-        return [*rest, g.op("all_finite", *left)]
-    return [*rest, *(g.op("is_finite", c) for c in left)]
+    return [c for c in claimed if c.id not in implied]
 
 
 def _made_of(node: Node) -> tuple[Node, ...]:
-    return node.args if node.op in ("add", "sub", "mul", "neg", "abs", "sqrt") else ()
+    return node.args if node.op in ("add", "sub", "mul", "neg", "abs", "sqrt", "sum") else ()
 
 
 def _claim(node: Node) -> tuple[Node, int, Node] | None:
@@ -95,7 +132,9 @@ def _reduction(name: str, empty: Any) -> Callable[..., Any]:
         def one(nodes: list[Node]) -> Node:
             if not nodes:
                 return g.const(empty, kind)
-            return conjunction(g, nodes) if name == "and" else tree_sum(g, name, nodes)
+            if name == "and":
+                return conjunction(g, nodes)
+            return long_sum(g, nodes) if name == "add" else tree_sum(g, name, nodes)
 
         return [_reduced(args[0], equation.params["axes"], one)]
 
@@ -156,7 +195,7 @@ def dot(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
     out = np.empty(equation.outvars[0].aval.shape, object)
     for index in np.ndindex(*out.shape):
         x, y = a[index[: batch + rows]], b[(*index[:batch], *index[batch + rows :])]
-        out[index] = tree_sum(g, "add", [g.op("mul", p, q) for p, q in zip(x, y, strict=True)])
+        out[index] = long_sum(g, [g.op("mul", p, q) for p, q in zip(x, y, strict=True)])
     return [out]
 
 

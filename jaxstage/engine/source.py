@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 from jaxstage.engine.lowering import Hoisted, Layout, Lowered, cells, hoist
 from jaxstage.engine.program import Program
-from jaxstage.engine.statements import Store, write
+from jaxstage.engine.statements import write
+from jaxstage.engine.stores import Store
 
 
 class Source(NamedTuple):

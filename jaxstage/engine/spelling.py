@@ -52,8 +52,6 @@ def expression(node: Node, args: list[str], single: bool) -> str:
         return f"pick({', '.join(args)}{', 0' if node.kind == 'b' else ''})"
     if node.op == "cast":
         return _cast(node, args[0], single)
-    if node.op == "all_finite":  # 0 x is 0, or NaN
-        return f"finite({' + '.join(f'all(0) * {a}' for a in args)})"
     if node.op == "exp":
         name = "exponential_below" if node.args[0].high <= 88 else "exponential"
         return f"{name}({args[0]})"

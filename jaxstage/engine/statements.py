@@ -1,35 +1,25 @@
 """A graph as C++ statements on vectors of runs."""
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from jaxstage.engine.node import LIMITS, Node, ordered
+from jaxstage.engine.node import Node, ordered
+from jaxstage.engine.rolling import Kinds, Roll, rolls
 from jaxstage.engine.spelling import constant, expression
+from jaxstage.engine.stores import (
+    Cells,
+    Put,
+    Rolled,
+    Store,
+    excluded,
+    guarded,
+    indexed,
+    rolled,
+)
 
+#: operations of any number of arguments
+GATHERED = ("all_finite", "sum")
 TYPES = {"f": "vec", "i": "ints", "u": "ints", "l": "ints", "b": "mask"}
-
-
-class Store(NamedTuple):
-    """What becomes of a result: cell ``slot`` of an array, set or added to; only ``where``."""
-
-    array: str
-    slot: int
-    node: Node
-    add: bool = False
-    where: Node | None = None
-
-    @property
-    def needs(self) -> list[Node]:
-        """The nodes that it reads."""
-        return [self.node, *([self.where] if self.where is not None else [])]
-
-
-class Cells(NamedTuple):
-    """Where inputs stand. read(node): C text of an input; array(source): C text of the array that
-    a load reads, with the slot of its element 0."""
-
-    read: Callable[[Node], str]
-    array: Callable[[Any], tuple[str, int]]
 
 
 class Known(NamedTuple):
@@ -39,21 +29,93 @@ class Known(NamedTuple):
     reciprocals: dict[int, str]
 
 
+class _Writing(NamedTuple):
+    """What the statements of a function have in common. names: C text of what is computed; kinds:
+    what is alike; gathered: the loops of a sum or a claim of many parts, by its number."""
+
+    cells: Cells
+    known: Known
+    single: bool
+    prefix: str
+    names: dict[int, str]
+    kinds: Kinds
+    gathered: dict[int, list[Roll]]
+
+    def name(self, node: Node) -> str:
+        """C text of a node that is computed already."""
+        return constant(node) if node.op == "const" else self.names[node.id]
+
+    def reads(self, node: Node) -> Iterable[Node]:
+        """What must be computed before a node."""
+        if node.id in self.known.reciprocals:
+            return node.args[:1]
+        loops = self.gathered.get(node.id, ())
+        if not loops:
+            return node.args
+        inside = {m for loop in loops for m in loop.members}
+        rest = [a for i, a in enumerate(node.args) if i not in inside]
+        return [*rest, *(n for loop in loops for n in self.shared(loop.first))]
+
+    def shared(self, first: Node) -> list[Node]:
+        """What all rounds of a loop read."""
+        inner = self.inside(first)
+        return [a for n in inner for a in self.reads(n) if not self.kinds.cells[a.id]]
+
+    def inside(self, first: Node) -> list[Node]:
+        """What a round of a loop computes."""
+        return ordered([first], lambda n: [a for a in self.reads(n) if self.kinds.cells[a.id]])
+
+    def text(self, node: Node) -> str:
+        """C text of an operation."""
+        if node.id in self.known.reciprocals:
+            return f"{self.name(node.args[0])} * {self.known.reciprocals[node.id]}"
+        return expression(node, [self.name(a) for a in node.args], self.single)
+
+
 def write(
     stores: Iterable[Store], cells: Cells, known: Known, single: bool, prefix: str = "t"
 ) -> list[str]:
     """The statements that compute and store."""
     stores = list(stores)
+    nodes = ordered([n for s in stores for n in s.needs])
+    w = _Writing(cells, known, single, prefix, dict(known.names), Kinds(nodes, known.names), {})
+    loops: list[Rolled] = []
+    if cells.slot is not None:
+        loops, stores = rolled(stores, w.kinds, cells)
+        for node in nodes:
+            if node.op in GATHERED and node.id not in known.names:
+                w.gathered[node.id] = rolls([*node.args], [0] * len(node.args), w.kinds, cells.slot)
     puts, plain = indexed(stores, cells)
-    guarded, plain = _guarded(plain, cells)
-    roots = [n for s in plain for n in s.needs] + [n for p in puts for n in p.needs]
-    roots += [n for own in guarded for s in own for n in s.needs]
-    names = dict(known.names)
+    several, plain = guarded(plain, cells)
+    roots = [n for s in [*plain, *puts] for n in s.needs]
+    roots += [n for own in several for s in own for n in s.needs]
+    roots += [n for loop in loops for n in w.shared(loop.roll.first)]
+    roots += [loop.store.where for loop in loops if loop.store.where is not None]
+    lines, at = _computed(w, ordered(roots, w.reads, known.names))
+    placed = [(p, at(p.index)) for p in puts]
+    for where in _conditions(several, loops):
+        own = [s for group in several for s in group if s.where is where]
+        never = [s for s in plain if excluded(s, where, cells)]
+        plain = [s for s in plain if s not in never]
+        lines += _guarded_stores(
+            w, where, own, [p for p in placed if p[0].where is where], never,
+            [loop for loop in loops if loop.store.where is where],
+        )  # fmt: skip
+        placed = [p for p in placed if p[0].where is not where]
+    for put, place in placed:
+        where = "every(true)" if put.where is None else w.name(put.where)
+        lines.append(f"put({put.array}+{put.slot}, {place}, {where}, {w.name(put.value)});")
+    lines += [line for x in loops if x.store.where is None for line in _rolled(w, x, None)]
+    return [*lines, *(_stored(s, w.name(s.node)) for s in plain)]
 
-    def reads(node: Node) -> Iterable[Node]:
-        return node.args[:1] if node.id in known.reciprocals else node.args
 
-    nodes = ordered(roots, reads, known.names)
+def _conditions(several: list[list[Store]], loops: list[Rolled]) -> list[Node]:
+    found = [group[0].where for group in several] + [x.store.where for x in loops]
+    return list(dict.fromkeys(n for n in found if n is not None))
+
+
+def _computed(w: _Writing, nodes: list[Node]) -> tuple[list[str], Callable[[Node], str]]:
+    """The statements of the nodes, and how the place that an index means is named."""
     loads: dict[int, list[Node]] = {}
     for node in nodes:
         if node.op == "load":
@@ -61,49 +123,81 @@ def write(
     lines: list[str] = []
     places: set[int] = set()
 
-    def name(node: Node) -> str:
-        return constant(node) if node.op == "const" else names[node.id]
-
     def at(index: Node) -> str:
         if index.op == "const":
             return ""
         if index.id not in places:
             places.add(index.id)
-            lines.append(f"const Place at{prefix}{index.id} = place({name(index)});")
-        return f"at{prefix}{index.id}"
+            lines.append(f"const Place at{w.prefix}{index.id} = place({w.name(index)});")
+        return f"at{w.prefix}{index.id}"
 
     for node in nodes:
-        if node.op == "const" or node.id in names:
+        if node.op == "const" or node.id in w.names:
             continue
         same_index = loads[node.args[0].id] if node.op == "load" else [node]
         for own in same_index:
-            names[own.id] = f"{prefix}{own.id}"
+            w.names[own.id] = f"{w.prefix}{own.id}"
             if own.op == "loop":
-                lines += loop_lines(own, nodes, names, cells, known, single, prefix)
+                lines += loop_lines(own, nodes, w.names, w.cells, w.known, w.single, w.prefix)
                 continue
             if own.op == "after":
-                text = _after(own, prefix)
+                text = _after(own, w.prefix)
             elif own.op == "in":
-                text = cells.read(own)
+                text = w.cells.read(own)
             elif own.op == "load":
-                text = _load(own, cells, at(own.args[0]))
-            elif own.id in known.reciprocals:
-                text = f"{name(own.args[0])} * {known.reciprocals[own.id]}"
+                text = _load(own, w.cells, at(own.args[0]))
+            elif own.op in GATHERED:
+                before, text = _gathered(w, own)
+                lines += before
             else:
-                text = expression(own, [name(a) for a in own.args], single)
-            lines.append(f"const {TYPES[own.kind]} {names[own.id]} = {text};")
-    placed = [(p, at(p.index)) for p in puts]
-    for own in guarded:
-        where = own[0].where
-        never = [s for s in plain if _excluded(s, own[0].where, cells)]
-        plain = [s for s in plain if s not in never]
-        lines += _guarded_stores(own, [p for p in placed if p[0].where is where], never, name)
-        placed = [p for p in placed if p[0].where is not where]
-    for put, place in placed:
-        where = "every(true)" if put.where is None else name(put.where)
-        lines.append(f"put({put.array}+{put.slot}, {place}, {where}, {name(put.value)});")
-    lines += [_stored(s, name(s.node)) for s in plain]
-    return lines
+                text = w.text(own)
+            lines.append(f"const {TYPES[own.kind]} {w.names[own.id]} = {text};")
+    return lines, at
+
+
+def _round(w: _Writing, roll: Roll) -> tuple[list[str], str]:
+    """Statements of a round of a loop over ``k``, and the text of what it gives."""
+    inner = w._replace(names=dict(w.names))
+    lines = []
+    for node in w.inside(roll.first):
+        inner.names[node.id] = f"{w.prefix}{node.id}"
+        if node.op == "in":
+            form, start, step = roll.cells[node.id]
+            text = form.format(f"({start}+{step}*k)")
+        else:
+            text = inner.text(node)
+        lines.append(f"const {TYPES[node.kind]} {w.prefix}{node.id} = {text};")
+    return lines, inner.name(roll.first)
+
+
+def _gathered(w: _Writing, node: Node) -> tuple[list[str], str]:
+    """A sum, or the claim that all parts are finite: 0 x is 0, or NaN."""
+    term = "all(0) * {}" if node.op == "all_finite" else "{}"
+    loops = w.gathered.get(node.id, [])
+    inside = {m for loop in loops for m in loop.members}
+    rest = [term.format(w.name(a)) for i, a in enumerate(node.args) if i not in inside]
+    total = " + ".join(rest) or "all(0)"
+    lines = []
+    if loops:
+        parts = f"{w.prefix}s{node.id}"
+        lines.append(f"vec {parts}[4] = {{{total}, all(0), all(0), all(0)}};")
+        for loop in loops:
+            own, text = _round(w, loop)
+            added = f"{parts}[k & 3] = {parts}[k & 3] + {term.format(text)};"
+            lines += [f"for (int k = 0; k < {len(loop.members)}; k++) {{", *own, added, "}"]
+        total = f"({parts}[0] + {parts}[1]) + ({parts}[2] + {parts}[3])"
+    return lines, total if node.op == "sum" else f"finite({total})"
+
+
+def _rolled(w: _Writing, loop: Rolled, where: str | None) -> list[str]:
+    """A loop of stores; only ``where``, if that is given."""
+    store, roll = loop.store, loop.roll
+    own, text = _round(w, roll)
+    cell = f"{store.array}[{store.slot}+{loop.step}*k]"
+    if where is not None:
+        text = f"pick({where}, {text}, {cell})"
+    put = f"{cell} {'+=' if store.add else '='} {text};"
+    return [f"for (int k = 0; k < {len(roll.members)}; k++) {{", *own, put, "}"]
 
 
 def _array_of(node: Node, name: str, prefix: str, number: int) -> str:
@@ -189,62 +283,24 @@ def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
 
 
 def _guarded_stores(
-    stores: list[Store], puts: list["tuple[Put, str]"], never: list[Store],
-    name: Callable[[Node], str],
+    w: _Writing, condition: Node, stores: list[Store], puts: list[tuple[Put, str]],
+    never: list[Store], loops: list[Rolled],
 ) -> list[str]:  # fmt: skip
     """Where the condition holds in every lane, as nearly always, there is nothing to select.
 
     never: stores that change nothing where it holds.
     """
-    where = name(stores[0].where)  # type: ignore[arg-type]
+    where, name = w.name(condition), w.name
     free = [f"{s.array}[{s.slot}] = {name(s.node)};" for s in stores]
     free += [f"put({p.array}+{p.slot}, {at}, every(true), {name(p.value)});" for p, at in puts]
+    free += [line for loop in loops for line in _rolled(w, loop, None)]
     held = [
         f"{s.array}[{s.slot}] = pick({where}, {name(s.node)}, {s.array}[{s.slot}]);" for s in stores
     ]
     held += [f"put({p.array}+{p.slot}, {at}, {where}, {name(p.value)});" for p, at in puts]
+    held += [line for loop in loops for line in _rolled(w, loop, where)]
     held += [_stored(s, name(s.node)) for s in never]
     return [f"if (__builtin_expect(everywhere({where}), 1)) {{", *free, "} else {", *held, "}"]
-
-
-def _excluded(store: Store, condition: Node | None, cells: Cells) -> bool:
-    """Whether a store is ``other condition ? value : what the cell held``, with a condition that
-    never holds together with this one."""
-    node = store.node
-    if node.op != "select" or store.add or not _holds(store, node.args[2], cells):
-        return False
-    given = _conjuncts(condition) if condition is not None else set()
-    return any(
-        (part, not truth) in given or (not truth and _conjuncts(part) <= given)
-        for part, truth in _conjuncts(node.args[0])
-    )
-
-
-def _conjuncts(node: Node) -> set[tuple[Node, bool]]:
-    """Conditions that must all be as given for a condition to hold."""
-    if node.op == "and":
-        return _conjuncts(node.args[0]) | _conjuncts(node.args[1])
-    return {(node.args[0], False)} if node.op == "not" else {(node, True)}
-
-
-def _guarded(stores: list[Store], cells: Cells) -> tuple[list[list[Store]], list[Store]]:
-    """Stores of ``where ? value : what the cell held`` under one condition, and the rest."""
-    groups: dict[int, list[Store]] = {}
-    rest = []
-    for store in stores:
-        node = store.node
-        if node.op == "select" and node.kind == "f" and _holds(store, node.args[2], cells):
-            own = store._replace(node=node.args[1], where=node.args[0])
-            groups.setdefault(node.args[0].id, []).append(own)
-        else:
-            rest.append(store)
-    several = [g for g in groups.values() if len(g) > 2]
-    for group in groups.values():
-        if len(group) <= 2:
-            rest += [
-                s for s in stores if any(s.array == o.array and s.slot == o.slot for o in group)
-            ]
-    return several, rest
 
 
 def _load(node: Node, cells: Cells, place: str) -> str:
@@ -264,76 +320,3 @@ def _stored(store: Store, text: str) -> str:
         kind = "store_ints" if store.node.kind != "f" else "store"
         return f"{kind}({store.array[1:]}+{store.slot}*NB, {text});"
     return f"{store.array}[{store.slot}] {'+=' if store.add else '='} {text};"
-
-
-class Put(NamedTuple):
-    """A value that goes to one cell of an array, whose index the run knows."""
-
-    array: str
-    slot: int
-    index: Node
-    value: Node
-    where: Node | None
-
-    @property
-    def needs(self) -> list[Node]:
-        """The nodes that it reads."""
-        return [self.index, self.value, *([self.where] if self.where is not None else [])]
-
-
-def indexed(stores: list[Store], cells: Cells) -> tuple[list[Put], list[Store]]:
-    """The stores that are together one update at an index, and the rest.
-
-    Cell k gets ``index == k ? value : what it held``, for every k that the index can mean.
-    Stores of what a cell held already are left out.
-    """
-    groups: dict[Any, list[tuple[int, Store]]] = {}
-    rest: list[Store] = []
-    parts: dict[Any, tuple[Node, Node, Node | None]] = {}
-    for store in stores:
-        if _holds(store, store.node, cells) and not store.add:
-            continue
-        found = _update(store, cells)
-        if found is None:
-            rest.append(store)
-            continue
-        index, number, value, where = found
-        key = (store.array, store.slot - number, index.id, value.id, where and where.id)
-        parts[key] = index, value, where
-        groups.setdefault(key, []).append((number, store))
-    puts = []
-    for key, members in groups.items():
-        index, value, where = parts[key]
-        if {n for n, _ in members} >= set(range(int(index.low), int(index.high) + 1)):
-            puts.append(Put(key[0], key[1], index, value, where))
-        else:
-            rest += [s for _, s in members]
-    return puts, rest
-
-
-def _holds(store: Store, node: Node, cells: Cells) -> bool:
-    return node.op == "in" and cells.read(node) == f"{store.array}[{store.slot}]"
-
-
-def _update(store: Store, cells: Cells) -> tuple[Node, int, Node, Node | None] | None:
-    node = store.node
-    if (
-        node.op != "select"
-        or store.add
-        or node.kind != "f"
-        or not _holds(store, node.args[2], cells)
-    ):
-        return None
-    condition, value, _ = node.args
-    where = None
-    sides = condition.args if condition.op == "and" else (condition,)
-    for position, side in enumerate(sides):
-        if side.op == "eq" and side.args[1].op == "const" and _bounded(side.args[0]):
-            if len(sides) == 2:
-                where = sides[1 - position]
-            return side.args[0], side.args[1].value, value, where
-    return None
-
-
-def _bounded(index: Node) -> bool:
-    return index.kind in "il" and LIMITS["i"][0] < index.low <= index.high < LIMITS["i"][1]

@@ -47,7 +47,7 @@ def tune(
     starts: Annotated[int, typer.Option(help="Starting points; the first are the gains now.")] = 2,
     budget: Annotated[
         float, typer.Option(help="Units: simulations of the whole training set.")
-    ] = 200.0,
+    ] = 2000.0,
     pareto: Annotated[
         bool, typer.Option("--pareto", help="Trade-offs of error, energy and chattering, too.")
     ] = False,

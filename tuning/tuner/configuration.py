@@ -67,7 +67,7 @@ class Request(NamedTuple):
     train: Path | None = None
     method: str = AUTO
     starts: int = 2
-    budget: float = 200.0
+    budget: float = 2000.0
     worst_case: int = 0
     seed: int = 0
 

@@ -1,8 +1,8 @@
 """Figures of training runs as arrays that can be differentiated, and only those that are asked for.
 
 Columns are those of a sweep, in display units. Root mean squares that a search usually minimises
-are built from the squares of every tick instead of sums, so that least squares sees the error of
-each piece of the run and not one number.
+are summed up for each of `PIECES` pieces of a run, so that least squares sees the error of each
+piece and not one number. Nothing else is stored of a run.
 
 | column | definition |
 |---|---|
@@ -12,6 +12,7 @@ each piece of the run and not one number.
 | `growth` | RMS |r - x| of the last third over that of the middle third: 1 in a steady run |
 """
 
+import functools
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -29,12 +30,14 @@ from jaxstage.metrics.tracking import following_error
 from jaxstage.settings import nearest_name
 from jaxstage.signals import Sample, Setpoint
 from jaxstage.studies import Case
-from jaxstage.studies.case import scored
+from jaxstage.studies.case import Window, scored
 
 #: pieces that a run is cut into for least squares
-PIECES = 50
+PIECES = 8
 #: order of the smooth maximum
 ORDER = 16
+#: a change of the command from period to period that is no chattering yet, as a share of its RMS
+SMOOTH = 0.02
 
 SMOOTH_MAX = "contour_smooth_max_um"
 GROWTH = "growth"
@@ -44,12 +47,11 @@ GROWTH = "growth"
 class Squared:
     """A column that is the root of the mean of something squared.
 
-    metric: its place in the rows. axes: whether it has one number an axis. scale: display units in
-    one SI unit. of(sample, last command) -> () or (axes,), SI.
+    name: of its sums. scale: display units in one SI unit. of(sample, last command) -> (), SI; of
+    several axes their mean.
     """
 
-    metric: str
-    axes: bool
+    name: str
     scale: float
     of: Callable[[Sample, Array], Array]
 
@@ -59,7 +61,7 @@ def _contour(sample: Sample, last: Array) -> Array:
 
 
 def _following(sample: Sample, last: Array) -> Array:
-    return following_error(sample) ** 2
+    return jnp.mean(following_error(sample) ** 2)
 
 
 def _tracking(sample: Sample, last: Array) -> Array:
@@ -67,31 +69,29 @@ def _tracking(sample: Sample, last: Array) -> Array:
 
 
 def _command(sample: Sample, last: Array) -> Array:
-    return sample.command**2
+    return jnp.mean(sample.command**2)
 
 
 def _change(sample: Sample, last: Array) -> Array:
-    return (sample.command - last) ** 2
+    return jnp.mean((sample.command - last) ** 2)
 
 
-CONTOUR = Squared(metric="contour", axes=False, scale=1e6, of=_contour)
-FOLLOWING = Squared(metric="following", axes=True, scale=1e6, of=_following)
-TRACKING = Squared(metric="tracking", axes=False, scale=1.0, of=_tracking)
-COMMAND = Squared(metric="command", axes=True, scale=1.0, of=_command)
-CHANGE = Squared(metric="change", axes=True, scale=1.0, of=_change)
+CONTOUR = Squared(name="contour", scale=1e6, of=_contour)
+FOLLOWING = Squared(name="following", scale=1e6, of=_following)
+COMMAND = Squared(name="command", scale=1.0, of=_command)
+CHANGE = Squared(name="change", scale=1.0, of=_change)
 
 
 class Recipe(NamedTuple):
     """How the columns that are asked for come about.
 
     columns: their names. known: every column there is -> the metric whose report holds it, or "".
-    metric: what the runs compute. squared: what it stores of every tick, and from what tick on.
+    metric: what the runs compute.
     """
 
     columns: tuple[str, ...]
     known: dict[str, str]
     metric: Metric
-    squared: tuple[Squared, ...]
 
 
 def available(case: Case) -> dict[str, str]:
@@ -112,13 +112,21 @@ def recipe(case: Case, columns: Iterable[str]) -> Recipe:
         if name not in known:
             raise ValueError(f"unknown column '{name}'{nearest_name(name, known)}")
     metrics = tuple(dict.fromkeys(known[n] for n in wanted if known[n] and n not in squares))
-    squared = {squares[n] for n in wanted if n in squares}
-    squared |= {TRACKING} if GROWTH in wanted else set()
-    squared |= {CONTOUR} if SMOOTH_MAX in wanted else set()
-    kept = tuple(s for s in (CONTOUR, FOLLOWING, TRACKING, COMMAND, CHANGE) if s in squared)
-    light = scored(selected(case.metric, metrics), case.window) if metrics else None
-    metric = together(*((light,) if light else ()), _each_tick(kept))
-    return Recipe(wanted, known, metric, kept)
+    kept = tuple(dict.fromkeys(squares[n] for n in wanted if n in squares))
+    own = [pieces(kept, case.window)] if kept else []
+    own += [smooth_max(case.window)] if SMOOTH_MAX in wanted else []
+    own += [growth(case.window.ticks)] if GROWTH in wanted else []
+    light = [scored(selected(case.metric, metrics), case.window)] if metrics else []
+    return Recipe(wanted, known, together(*light, *own))
+
+
+def least_scale(column: str) -> tuple[str, float] | None:
+    """The figure, and the share of it, that an automatic scale of a column is at least; or None.
+
+    A command that is smooth before must not make its own smoothness the price of all accuracy.
+    """
+    stem, change = "command_rms", "command_change_rms"
+    return (column.replace(change, stem), SMOOTH) if column.startswith(change) else None
 
 
 def _shapes(case: Case, metric: Metric) -> dict[str, Any]:
@@ -144,18 +152,97 @@ def _squares(case: Case) -> dict[str, Squared]:
     return table
 
 
-def _each_tick(squared: tuple[Squared, ...]) -> Metric:
-    """Stores the squares of every tick."""
+# --- what the runs sum up ----------------------------------------------------------------------
+
+
+class _Sums(NamedTuple):
+    """last: command before, (axes,). squares: (pieces,) of each `Squared`, SI."""
+
+    last: Array
+    squares: dict[str, Array]
+
+
+@functools.cache
+def pieces(squared: tuple[Squared, ...], window: Window) -> Metric:
+    """What each piece of the window adds to mean squares: name -> (pieces,), SI."""
+    ticks = window.stop - window.start
+    length = -(-ticks // PIECES)
+    count = -(-ticks // length)
+
+    def init(setpoint: Setpoint) -> _Sums:
+        zero = jnp.zeros_like(setpoint.position)
+        return _Sums(zero, {s.name: jnp.zeros(count, zero.dtype) for s in squared})
+
+    def update(acc: _Sums, sample: Sample, dt: float) -> tuple[_Sums, None]:
+        before = jnp.where(sample.step == 0, sample.command, acc.last)
+        inside = (sample.step >= window.start) & (sample.step < window.stop)
+        piece = jnp.clip((sample.step - window.start) // length, 0, count - 1)
+        sums = {}
+        for s in squared:
+            sums[s.name] = acc.squares[s.name].at[piece].add(s.of(sample, before) * inside)
+        return _Sums(sample.command, sums), None
+
+    def finish(acc: _Sums) -> dict[str, Array]:
+        return {name: value / ticks for name, value in acc.squares.items()}
+
+    return Metric(name="pieces", init=init, update=update, finish=finish)
+
+
+class _Peaks(NamedTuple):
+    """largest: of the squares x so far, m2. power: sum of (x / largest)^(ORDER / 2). Both ()."""
+
+    largest: Array
+    power: Array
+
+
+@functools.cache
+def smooth_max(window: Window) -> Metric:
+    """(mean eps^ORDER)^(1/ORDER) of the contour error over the window, m, (). It is summed up in
+    units of the largest error so far, which has no gradient of its own."""
+    ticks, half = window.stop - window.start, ORDER // 2
+
+    def init(setpoint: Setpoint) -> _Peaks:
+        zero = jnp.zeros((), setpoint.position.dtype)
+        return _Peaks(zero, zero)
+
+    def update(acc: _Peaks, sample: Sample, dt: float) -> tuple[_Peaks, None]:
+        inside = (sample.step >= window.start) & (sample.step < window.stop)
+        value = _contour(sample, sample.command) * inside
+        largest = jnp.maximum(acc.largest, jax.lax.stop_gradient(value))
+        safe = jnp.where(largest > 0, largest, jnp.ones_like(largest))
+        power = acc.power * (acc.largest / safe) ** half + (value / safe) ** half
+        return _Peaks(largest, power), None
+
+    def finish(acc: _Peaks) -> Array:
+        some = acc.power > 0
+        safe = jnp.where(some, acc.power / ticks, jnp.ones_like(acc.power))
+        mean = jnp.where(some, safe ** (1 / ORDER), jnp.zeros_like(safe))
+        return mean * root(acc.largest)
+
+    return Metric(name="smooth_max", init=init, update=update, finish=finish)
+
+
+@functools.cache
+def growth(ticks: int) -> Metric:
+    """RMS |r - x| of the last third of a run over that of the middle third, (); 0 without error."""
+    third = max(ticks // 3, 1)
 
     def init(setpoint: Setpoint) -> Array:
-        return jnp.zeros_like(setpoint.position)
+        return jnp.zeros(3, setpoint.position.dtype)
 
-    def update(last: Array, sample: Sample, dt: float) -> tuple[Array, Any]:
-        before = jnp.where(sample.step == 0, sample.command, last)
-        rows = {s.metric: s.of(sample, before) for s in squared}
-        return sample.command, rows or None
+    def update(acc: Array, sample: Sample, dt: float) -> tuple[Array, None]:
+        back = jnp.clip((ticks - 1 - sample.step) // third, 0, 2)
+        return acc.at[back].add(_tracking(sample, sample.command)), None
 
-    return Metric(name="each_tick", init=init, update=update, finish=lambda last: None)
+    def finish(acc: Array) -> Array:
+        late, middle = acc[0], acc[1]
+        safe = jnp.where(middle > 0, middle, jnp.ones_like(middle))
+        return root(jnp.where(middle > 0, late / safe, jnp.zeros_like(middle)))
+
+    return Metric(name="growth", init=init, update=update, finish=finish)
+
+
+# --- what is made of it ------------------------------------------------------------------------
 
 
 def _arrays(report: Any, plant: Plant) -> dict[str, Array]:
@@ -182,56 +269,19 @@ class Measured(NamedTuple):
     pieces: dict[str, Array]
 
 
-def measure(case: Case, made: Recipe, report: Any, rows: Any) -> Measured:
-    """The columns of a batch of runs. report, rows: of `rollouts` with the metric of a recipe;
-    those of lost runs are NaN."""
-    window = case.window
+def measure(case: Case, made: Recipe, report: Any) -> Measured:
+    """The columns of a batch of runs. report: of `rollouts` with the metric of a recipe; no NaN."""
     table = _arrays(report["scored"], case.loop.plant) if "scored" in report else {}
-    stored = (rows or {}).get("each_tick", {})
-    squares, pieces = _squares(case), {}
+    squares, found = _squares(case), {}
     for name in made.columns:
         if name in squares:
-            square = squares[name]
-            inside = stored[square.metric][:, window.start : window.stop]
-            pieces[name] = _pieces(inside) * square.scale
-            table[name] = root(jnp.sum(pieces[name] ** 2, axis=-1))
+            found[name] = root(report["pieces"][squares[name].name]) * squares[name].scale
+            table[name] = root(jnp.sum(found[name] ** 2, axis=-1))
     if SMOOTH_MAX in made.columns:
-        table[SMOOTH_MAX] = smooth_max(stored[CONTOUR.metric][:, window.start : window.stop]) * 1e6
+        table[SMOOTH_MAX] = report["smooth_max"] * 1e6
     if GROWTH in made.columns:
-        table[GROWTH] = growth(stored[TRACKING.metric])
-    return Measured({name: table[name] for name in made.columns}, pieces)
-
-
-def _pieces(squares: Array) -> Array:
-    """RMS of each piece of a run (and axis), so that the squares add up to the mean square.
-
-    squares: (lanes, ticks) or (lanes, ticks, axes) -> (lanes, pieces or pieces * axes).
-    """
-    lanes, ticks = squares.shape[:2]
-    length = -(-ticks // min(PIECES, ticks))
-    short = -ticks % length
-    padded = jnp.pad(squares.reshape(lanes, ticks, -1), ((0, 0), (0, short), (0, 0)))
-    sums = jnp.sum(padded.reshape(lanes, -1, length, padded.shape[-1]), axis=2)
-    return root(sums / (ticks * padded.shape[-1])).reshape(lanes, -1)
-
-
-def smooth_max(squares: Array) -> Array:
-    """(mean |x|^ORDER)^(1/ORDER) of the squares (lanes, ticks)."""
-    largest = jax.lax.stop_gradient(jnp.max(squares, axis=-1, keepdims=True))
-    safe = jnp.where(largest > 0, largest, jnp.ones_like(largest))
-    power = jnp.mean((squares / safe) ** (ORDER // 2), axis=-1)
-    some = power > 0
-    mean = jnp.where(some, jnp.where(some, power, jnp.ones_like(power)) ** (1 / ORDER), power)
-    return mean * jnp.sqrt(safe[:, 0])
-
-
-def growth(squares: Array) -> Array:
-    """RMS of the last third over that of the middle third; 0 of a run without any error."""
-    third = max(squares.shape[-1] // 3, 1)
-    late, middle = squares[:, -third:], squares[:, -2 * third : -third]
-    below = jnp.mean(middle, axis=-1)
-    safe = jnp.where(below > 0, below, jnp.ones_like(below))
-    return root(jnp.where(below > 0, jnp.mean(late, axis=-1) / safe, jnp.zeros_like(below)))
+        table[GROWTH] = report["growth"]
+    return Measured({name: table[name] for name in made.columns}, found)
 
 
 def as_numbers(columns: dict[str, Array]) -> dict[str, np.ndarray]:

@@ -4,8 +4,9 @@
           + PULL |z - z of the gains before|^2
     J   = sum_s omega_s c_s,   omega: `mean`, `worst` or `cvar` of the c_s
 
-v_ts: figure t of run s; scale: what counts as 1, by default the figure of the gains before, so that
-J = 1 before and a halved error gives a quarter. Everything is a square, so least squares applies.
+v_ts: figure t of run s; scale: what counts as 1, by default the figure of the gains before (for the
+changes of a smooth command a little more, `figures.least_scale`), so that J is about 1 before and a
+halved error gives a quarter. Everything is a square, so least squares applies.
 The pull is weak: what does not matter stays as it was, and no search drifts to the edge of a box.
 
 A goal is a comparison; its violation is (left - right) / |right|, positive when it is missed. mu
@@ -34,7 +35,8 @@ PULL = 1e-4
 
 class Term(NamedTuple):
     """A figure to make small. column: see `figures`. scale: what counts as 1, in the unit of the
-    column; None: the figure of the gains before, root mean square over the runs."""
+    column; None: the figure of the gains before, root mean square over the runs, or
+    `figures.least_scale` where that is more."""
 
     column: str
     weight: float = 1.0

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tuning.tuner.figures import recipe
+from tuning.tuner.figures import least_scale, recipe
 from tuning.tuner.groups import Group as Group
 from tuning.tuner.groups import make_group as make_group
 from tuning.tuner.objective import Goal, Risk, Term, mean
@@ -97,6 +97,8 @@ def make_problem(
         if term.scale is not None and not (math.isfinite(term.scale) and term.scale > 0):
             raise ValueError(f"scale = {term.scale:g} of {term.column}: must be > 0")
     columns = [term.column for term in terms] + [name for goal in goals for name in goal.names]
+    beside = [least_scale(term.column) for term in terms if term.scale is None]
+    columns += [least[0] for least in beside if least is not None]
     made = tuple(recipe(group.case, columns) for group in groups)
     programs = make_programs(space, groups, made, terms, goals, risk)
     problem = Problem(
@@ -109,7 +111,7 @@ def make_problem(
     if any(term.scale is None for term in terms):
         _refuse_lost(problem, first)
     _refuse_undefined(problem, first)
-    problem = problem._replace(scales=_scales(problem, first))
+    problem = problem._replace(scales=scales_of(problem, first))
     return problem._replace(before=evaluate(problem, space.start()[None]))
 
 
@@ -137,12 +139,19 @@ def _refuse_undefined(problem: Problem, before: Evaluation) -> None:
             )
 
 
-def _scales(problem: Problem, before: Evaluation) -> np.ndarray:
+def scales_of(problem: Problem, before: Evaluation) -> np.ndarray:
+    """What counts as 1 of each term, (terms,). before: the gains before, at scales of 1."""
     each = np.concatenate([group.weights for group in problem.groups])
     scales = []
+
+    def mean_of(column: str) -> float:
+        return math.sqrt(np.average(before.columns[column][0] ** 2, weights=each))
+
     for term in problem.terms:
-        value = before.columns[term.column][0]
-        own = math.sqrt(np.average(value**2, weights=each)) if term.scale is None else term.scale
+        own, least = term.scale, least_scale(term.column)
+        if own is None:
+            own = mean_of(term.column)
+            own = own if least is None else max(own, least[1] * mean_of(least[0]))
         if not (math.isfinite(own) and own > 0):
             raise ValueError(f"{term.column} is {own:g} before tuning: give it a scale")
         scales.append(own)

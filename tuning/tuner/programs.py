@@ -23,7 +23,7 @@ from tuning.tuner.space import SearchSpace
 
 #: lanes that run together at most
 TILE = 128
-#: bytes that the stored ticks of one batch may take
+#: bytes that one batch may take
 MEMORY = 4e9
 
 
@@ -78,9 +78,9 @@ def _simulate(
         """Ones in place of the NaN of a lost run, which no gradient may meet."""
         return jnp.where(gone.reshape(-1, *[1] * (x.ndim - 1)), jnp.ones_like(x), x)
 
-    report, rows = jax.tree.map(present, (run.report, run.rows))
+    report = jax.tree.map(present, run.report)
     share = jnp.where(gone, at / ticks, jnp.nan)
-    return _Runs(measure(case, made, report, rows), share)
+    return _Runs(measure(case, made, report), share)
 
 
 def _fast(space: SearchSpace, group: Group, z: Array) -> Array:
@@ -205,7 +205,6 @@ def make_programs(
 
     def tangents(z: Array, directions: Array, *arguments: Any) -> Any:
         """dr along each direction, (d, m, runs, pieces) a group; r, c and violation."""
-        _check_memory(groups, made, len(directions) * len(z))
 
         def residuals(z: Array) -> tuple[list[Array], Any]:
             found, every, violation = costs(plain, z, *arguments)
@@ -243,21 +242,6 @@ def make_programs(
         return jnp.concatenate(each, axis=-1)
 
     return Programs(jax.jit(evaluate), jax.jit(slopes), jax.jit(curvatures), jax.jit(directional))
-
-
-def _check_memory(groups: tuple[Group, ...], made: tuple[Recipe, ...], tangents: int) -> None:
-    """Refuse a Jacobian whose stored ticks do not fit. tangents: of each run."""
-    stored = 0
-    for group, one in zip(groups, made, strict=True):
-        axes = len(group.case.loop.plant.axes)
-        numbers = sum(axes if square.axes else 1 for square in one.squared)
-        stored += 8 * numbers * group.runs * group.case.window.ticks
-    if tangents * stored > MEMORY:
-        raise ValueError(
-            f"the Jacobian of {sum(group.runs for group in groups)} training runs takes "
-            f"{tangents * stored / 1e9:.3g} GB (limit {MEMORY / 1e9:g} GB): train on fewer or "
-            "shorter runs, or take the method lbfgs"
-        )
 
 
 def _joined(*values: Any) -> Any:

@@ -28,6 +28,8 @@ from tuning.tuner.random_search import random_search
 
 #: up to so many parameters Levenberg-Marquardt, beyond them L-BFGS
 FEW = 30
+#: standard deviation in z of the CMA-ES that goes on where a descent has ended
+POLISH = 0.3
 #: points of the Sobol sequence that starts are picked from, and their standard deviation in z
 AMONG, SPREAD = 16, 1.0
 #: once this share of the budget is spent, a start so many times worse than the best is given up
@@ -195,9 +197,11 @@ def tune(
     """Minimise J from the gains before, and from other starts.
 
     method: None chooses: by the number of parameters, and by a check of the gradients, CMA-ES where
-    it fails. starts: how many, the first the gains before, or their z (k, n). budget: units; the
-    step under way is finished. prices: None measures them. journal: folder that keeps every
-    evaluation; given again, the tuning goes on where it was stopped. watch: called after each step.
+    it fails; with few parameters what a descent leaves of the budget goes to CMA-ES from its best
+    point, which passes kinks where no gradient leads on. starts: how many, the first the gains
+    before, or their z (k, n). budget: units; the step under way is finished. prices: None measures
+    them. journal: folder that keeps every evaluation; given again, the tuning goes on where it was
+    stopped. watch: called after each step.
 
     Raises ValueError for an impossible budget or number of starts, and for a journal of something
     else.
@@ -221,8 +225,14 @@ def tune(
     if method is None:
         check = _check(ledger, problem, begun[0], seed)
         chosen = chosen if check.ok else cma_es()
-    history, ended = _search(ledger, problem, chosen, begun, seed, budget, watch)
-    return _result(problem, chosen, ledger, begun, check, history, ended)
+    history: list[Progress] = []
+    ended = _search(ledger, problem, chosen, begun, seed, budget, watch, history)
+    ends = tuple(ledger.best[k] for k in range(count))
+    if method is None and few and chosen.needs and ledger.units < budget:
+        best = min(ends, key=_Best.key).z[None]
+        ended = _search(ledger, problem, cma_es(POLISH), best, seed, budget, watch, history)
+    results = tuple(StartResult(z, *end) for z, end in zip(begun, ends, strict=True))
+    return _result(problem, chosen, ledger, results, check, history, ended)
 
 
 def _kept_prices(problem: Problem, method: Method, starts: int, journal: Path | None) -> Prices:
@@ -276,20 +286,21 @@ def _check(ledger: _Ledger, problem: Problem, z: np.ndarray, seed: int) -> Gradi
 
 def _search(
     ledger: _Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int, budget: float,
-    watch: Callable[[Progress], None],
-) -> tuple[list[Progress], str]:  # fmt: skip
-    """Step until the budget is spent or all starts are at their end."""
-    history: list[Progress] = []
+    watch: Callable[[Progress], None], history: list[Progress],
+) -> str:  # fmt: skip
+    """Step until the budget is spent or all starts are at their end; which of them it was.
+
+    history: every step is added to it."""
     state = method.begin(_oracle(ledger, problem), begun, seed)
     while True:
         history.append(_progress(ledger, state, len(history), budget))
         watch(history[-1])
         if ledger.units >= budget:
-            return history, "the budget is spent"
+            return "the budget is spent"
         if np.all(state.done):
             missed = problem.goals and min(b.key()[0] for b in ledger.best.values()) > 0
             if not missed or problem.penalty * HARDER > HARDEST:
-                return history, "no start finds anything better"
+                return "no start finds anything better"
             problem = problem._replace(penalty=problem.penalty * HARDER)
             again = np.stack([ledger.best[row].z for row in range(len(begun))])
             state = method.begin(_oracle(ledger, problem), again, seed)
@@ -311,19 +322,15 @@ def _progress(ledger: _Ledger, state: Any, step: int, budget: float) -> Progress
 
 
 def _result(
-    problem: Problem, method: Method, ledger: _Ledger, begun: np.ndarray,
+    problem: Problem, method: Method, ledger: _Ledger, starts: tuple[StartResult, ...],
     check: GradientCheck | None, history: list[Progress], ended: str,
 ) -> Tuned:  # fmt: skip
     best = min(ledger.best.values(), key=_Best.key)
     assert problem.before is not None
-    results = tuple(
-        StartResult(z, ledger.best[k].z, ledger.best[k].objective, ledger.best[k].violation)
-        for k, z in enumerate(begun)
-    )
     gains = problem.space.gains_of(jnp.asarray(best.z))
     return Tuned(
         method=method.name, n=problem.space.size, z=best.z, gains=gains,
         before=float(problem.before.objective[0]), after=best.objective, violation=best.violation,
         feasible=best.violation <= 0, units=ledger.units, seconds=ledger.seconds,
-        prices=ledger.prices, check=check, starts=results, history=tuple(history), ended=ended,
+        prices=ledger.prices, check=check, starts=starts, history=tuple(history), ended=ended,
     )  # fmt: skip
