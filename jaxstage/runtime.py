@@ -1,8 +1,10 @@
 """How JAX runs. Call `configure` before the first array is made; importing changes nothing."""
 
 import os
+import platform
 import tempfile
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import jax
@@ -58,3 +60,15 @@ def cache_folder() -> str | None:
 def cpu_cores() -> int:
     """The cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def processor() -> str:
+    """The model of what computes: of the accelerator, or of the processor as Linux names it."""
+    kind = jax.local_devices()[0].device_kind
+    if kind != "cpu":
+        return kind
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

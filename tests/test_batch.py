@@ -78,7 +78,7 @@ def test_a_batch_equals_single_runs():
         np.testing.assert_array_equal(batch.final.step[lane], single.final.step)
 
 
-@pytest.mark.parametrize("tile", [1, 2, 3, 5, 11, 64])
+@pytest.mark.parametrize("tile", [1, 2, 3, 11, 64])
 def test_the_tile_does_not_change_a_bit(tile):
     jax.tree.map(np.testing.assert_array_equal, several(tile).report, several(4).report)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import jax
 import pytest
-from commanding import caller, strict_json
+from commanding import caller, few_figures, strict_json
 
 from jaxstage import __version__, loop_names
 from jaxstage.metrics.table import split_key
@@ -155,8 +155,9 @@ def test_json_and_table_say_the_same(jaxstage):
     assert text.out.count("\n") > 20
 
 
-def test_a_feed_a_scored_lap_and_a_part_lap(jaxstage):
+def test_a_feed_a_scored_lap_and_a_part_lap(jaxstage, monkeypatch):
     """Two laps and a half: the second is scored; the whole run is something else."""
+    few_figures(monkeypatch)
     found = jaxstage(
         "run", "pi-circle", "--json", "--set", "feed=300000", "--duration", "0.0785"
     ).json
@@ -181,7 +182,8 @@ def test_a_setting_by_path_symbol_or_suffix_is_the_same(jaxstage):
     assert per_axis["metrics"] == found[0]
 
 
-def test_timing_settings(jaxstage):
+def test_timing_settings(jaxstage, monkeypatch):
+    few_figures(monkeypatch)
     words = ("lap_time=0.03", "laps=2", "scored=1", "dt=2e-4", "substeps=2")
     found = jaxstage("run", "pi-circle", "--json", *(w for k in words for w in ("--set", k))).json
     assert found["lap_time_s"] == pytest.approx(0.03)
@@ -235,7 +237,8 @@ def test_what_out_writes_the_options_take_back(jaxstage):
 # --- a run that is lost -------------------------------------------------------------------------
 
 
-def test_a_lost_run_is_a_result_without_figures(jaxstage):
+def test_a_lost_run_is_a_result_without_figures(jaxstage, monkeypatch):
+    few_figures(monkeypatch)
     words = ("run", "dfcmac-circle", "--set", "dt=1e-3", "--set", "lap_time=1", "--set", "laps=2")
     found = jaxstage(*words, "--json")
     assert found.status == 0

@@ -1,5 +1,7 @@
 """Pictures: drawn for every kind of run, honest about scale, whole or absent."""
 
+import errno
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -166,16 +168,15 @@ def test_laws_without_memory_are_refused(shown):
         plot.surface(shown._replace(surface=None))
 
 
-def test_nothing_half_written(tmp_path):
-    class Broken(Figure):
-        def savefig(self, fname, **options):
-            with open(fname, "wb") as file:
-                file.write(b"\x89PNG")
-            raise OSError("disk full")
+def test_nothing_half_written(tmp_path, monkeypatch):
+    def full(file):
+        raise OSError(errno.ENOSPC, "disk full")
 
     (tmp_path / "a.png").write_bytes(b"old")
-    with pytest.raises(OSError, match="disk full"):
-        save(Broken(), tmp_path / "a.png")
+    monkeypatch.setattr("jaxstage.files.os.fsync", full)
+    with pytest.raises(OSError, match="disk full") as refused:
+        save(Figure(), tmp_path / "a.png")
+    assert refused.value.filename == str(tmp_path / "a.png")
     assert [f.name for f in tmp_path.iterdir()] == ["a.png"]
     assert (tmp_path / "a.png").read_bytes() == b"old"
 

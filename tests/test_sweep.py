@@ -85,6 +85,7 @@ def test_a_row_is_a_run_with_units_in_its_columns(whole):
     assert metadata[b"configuration_sha256"].decode() == digest(text())
     for key in (b"jax", b"jaxstage", b"seed", b"devices", b"processor"):
         assert metadata[key]
+    assert metadata[b"processor"] != b"cpu", "its model"
 
 
 def test_a_row_is_what_a_single_run_gives(whole):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commanding import command as command
-from commanding import strict_json
+from commanding import few_figures, strict_json
 
 import jaxstage as js
 from jaxstage.metrics import tracking
@@ -21,6 +21,12 @@ from tuning.sweeps.sensitivity import tornado
 SHORT = ("--set", "lap_time=0.02", "--set", "laps=1", "--set", "scored=0")
 SMALL = ("sweep", "pi-circle", "cascade-circle", "-n", "8", "--chunk", "4", *SHORT)
 SPEC = ("--spec", "contour_max_um < 60 and finite", "--target", "0.9")
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    """Loops that report little compile fast."""
+    few_figures(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +110,9 @@ def test_a_stopped_sweep_goes_on_without_its_words(command, shared):
     assert result.status == 0
     found = strict_json((shared / "summary.json").read_text())
     assert found["simulated"] == 4
+    worst = whole["worst"][0]
+    assert worst["loop"] == "pi-circle", "not among those that were simulated again"
+    assert f"0 lost, worst contour max {worst['value']:.4g} um" in result.err
     for key in ("loops", "comparisons", "worst", "configuration_sha256"):
         assert found[key] == whole[key]
     for text in (

@@ -1,9 +1,7 @@
 """`jaxstage tune`: what it prints, keeps, takes up again and refuses."""
 
 import csv
-import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -11,14 +9,11 @@ from pathlib import Path
 
 import jax
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from commanding import command as command
 from commanding import strict_json
 from test_front import read
 
-from tuning.cli import EXAMPLES
 from tuning.gains_file import read_tuned
 from tuning.runs import prepare
 from tuning.tuner.fronts import non_dominated
@@ -243,140 +238,6 @@ def test_a_stopped_tuning_is_told_to_go_on(command, tmp_path):
     (tmp_path / "tune.toml").write_text("jaxstage = 0\n", encoding="utf-8")
     answer = command("report", tmp_path)
     assert answer.status == 2 and "with --resume finishes it" in answer.err
-
-
-# --- the demo ------------------------------------------------------------------------------------
-
-SECOND = "pi-star"
-
-
-@pytest.fixture
-def small(command, shared, monkeypatch):
-    """The demo in a small size. Its sweeps are real; its runs are not, its tunings take over the
-    shared one, and the second is refused.
-
-    Returns what was begun, and a list of what stops the next tuning of `SECOND`.
-    """
-    found, begun, stops = tuned(command, shared), [], []
-
-    def take_over(plan, out, *_):
-        loop = plan.table["loop"]
-        if loop == SECOND and stops:
-            raise stops.pop()
-        begun.append(f"tune {loop}")
-        (gains,) = shared.glob("*gains.toml")
-        refused = ["a goal is missed"] if loop == SECOND else []
-        answer = found | {"loop": loop, "refused": refused, "accepted": not refused}
-        (out / "tune.json").write_text(json.dumps(answer), encoding="utf-8")
-        shutil.copy(gains, out / ("refused-gains.toml" if refused else "gains.toml"))
-        shutil.copy(shared / "history.png", out)
-
-    def run(prepared, out):
-        begun.append(f"run {prepared.case.name}")
-        out.mkdir(parents=True)
-        shutil.copy(shared / "history.png", out / "contour.png")
-        return {
-            "loop": prepared.case.name, "verdict": "", "finite": False, "duration_s": 0.02,
-            "laps": 1, "lap_time_s": 0.02, "dt_s": 1e-4, "precision": "double", "notes": [],
-        }  # fmt: skip
-
-    def blank(drawn, file):  # what other tests draw
-        file.write_bytes((shared / "history.png").read_bytes())
-
-    monkeypatch.setattr("tuning.tuner.cli._tune", take_over)
-    monkeypatch.setattr("tuning.runs.execute", run)
-    monkeypatch.setattr("tuning.sweeps.pictures.save", blank)
-    for name, value in (
-        ("LOOPS", ("pi-circle", SECOND)), ("PLANTS", 8), ("CHUNK", 4), ("WORDS", WORDS[:6]),
-    ):  # fmt: skip
-        monkeypatch.setattr(f"tuning.demo.stages.{name}", value)
-    return begun, stops
-
-
-def rows_of(folder, loop):
-    return pa.concat_tables(pq.read_table(f) for f in sorted((folder / "runs" / loop).glob("*")))
-
-
-def test_the_demo_stopped_and_gone_on_with(command, small):
-    begun, stops = small
-    stops.append(KeyboardInterrupt())
-    words = EXAMPLES["demo"].split()[1:]
-    folder = Path(words[-1])
-    stopped = command(*words)
-    assert stopped.status == 130 and f"`jaxstage demo --out {folder}` goes on" in stopped.err
-    kept = json.loads((folder / "stages.json").read_text())
-    assert list(kept) == ["run pi-circle", f"run {SECOND}", "tune pi-circle"]
-    told = command("report", folder)
-    assert told.status == 2 and f"`jaxstage demo --out {folder}` finishes it" in told.err
-    assert f"Example: {EXAMPLES['demo']}" in command("demo", "--help").out
-    ended = command(*words)
-    assert ended.status == 0, ended.err
-    every = [f"{what} {loop}" for what in ("run", "tune") for loop in ("pi-circle", SECOND)]
-    assert begun == every, "no stage runs twice"
-    assert kept.items() <= json.loads((folder / "stages.json").read_text()).items()
-    found = strict_json((folder / "demo.json").read_text())
-    assert ended.out.splitlines()[-3:] == found["verdict"]
-    assert "on 8 plants never seen" in found["verdict"][0]
-    assert "tuned gains accepted" in found["verdict"][0]
-    assert "NOT accepted (a goal is missed)" in found["verdict"][1]
-    check_sweeps(folder, found)
-    check_report(folder, found)
-    again = command(*words, "--json")
-    assert again.status == 0 and again.json == found and begun == every
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for key in {*found, *found["loops"][0], *found["stages"][0]}:
-        assert f"`{key}`" in readme, f"README does not say what {key} is"
-
-
-def check_sweeps(folder, found):
-    """Both gains met the same plants; what is said of them follows from the rows."""
-    for loop in found["loops"]:
-        name = loop["loop"]
-        before, after = (rows_of(folder / when, name) for when in ("published", "tuned"))
-        drawn = [c for c in before.column_names if c.startswith("plant_")]
-        assert drawn and before.select(drawn).equals(after.select(drawn))
-        first, second = (np.mean(rows["contour_rms_um"].to_numpy()) for rows in (before, after))
-        assert first != second
-        assert loop["plants"]["before"]["value"] == pytest.approx(first, rel=1e-12)
-        assert loop["plants"]["change"]["value"] == pytest.approx(second / first - 1, rel=1e-9)
-    shares = [np.mean(rows_of(folder / "tuned", loop["loop"])["contour_rms_um"].to_numpy())
-              for loop in found["loops"]]  # fmt: skip
-    gap = found["comparisons"]["tuned"]["difference"]["value"]
-    assert gap == pytest.approx(shares[0] - shares[1], rel=1e-9)
-
-
-def check_report(folder, found):
-    reader = read((folder / "report.html").read_text(encoding="utf-8"))
-    shown = reader.text
-    places = [shown.index(text) for text in (*found["verdict"], "Before and after", "Pictures")]
-    assert places == sorted(places), "verdict first"
-    assert {"plants", "contour", "history", f"pi-circle-against-{SECOND}"} <= set(reader.pictures)
-    assert reader.captions == len(reader.pictures)
-    text = "\n".join(shown)
-    for loop in found["loops"]:
-        assert (folder / loop["gains"]).read_text(encoding="utf-8").strip() in text
-    refused = not found["loops"][1]["accepted"]
-    gained = found["loops"][0]["accepted"] and found["loops"][0]["plants"]["change"]["high"] < 0
-    colour = "" if gained and refused else "bad"
-    assert f'<div class="verdict {colour}">' in (folder / "report.html").read_text(encoding="utf-8")
-    assert all(one["command"] in shown for one in found["stages"])
-
-
-def test_a_folder_that_holds_no_demo_or_another_one(command, small, monkeypatch):
-    Path("mine").mkdir()
-    Path("mine/thesis.txt").write_text("mine")
-    refused = command("demo", "--out", "mine")
-    assert (
-        refused.status == 2
-        and refused.err == "jaxstage: mine holds no demo: there is no demo.toml\n"
-    )
-    small[1].append(OSError("disk full"))
-    failed = command("demo", "--out", "other")
-    told = "jaxstage: disk full; `jaxstage demo --out other` goes on\n"
-    assert failed.status == 2 and failed.err.endswith(told)
-    monkeypatch.setattr("tuning.demo.stages.PLANTS", 9)
-    refused = command("demo", "--out", "other")
-    assert refused.status == 2 and "a demo of another configuration; plants: 8 -> 9" in refused.err
 
 
 # --- kill -9 -------------------------------------------------------------------------------------

@@ -42,10 +42,6 @@ WRONG = {
     "a study as a loop": ("run fuzzy-cmac", "is a study: name one of its loops, e.g. sliding-"),
     "a loop as a study": ("compare pi-circle", "'pi-circle' is a loop: `jaxstage compare fuzzy-"),
     "a misspelt study": ("compare fuzy-cmac", "unknown study 'fuzy-cmac'; did you mean 'fuzzy-cm"),
-    "a misspelt figure": (
-        "sweep pi-circle -n 8 --out new --metric contour_mx_um",
-        "--metric contour_mx_um: no such figure; did you mean 'contour_max_um'?",
-    ),
     "a unit": ("run pi-circle --set plant.mass=3g", "units are not written, this one is kg"),
     "a unit of a law": ("run pi-circle --set K=3A", "units are not written, this one is A/m"),
     "a unit of time": ("run pi-circle --set lap_time=1s", "this one is s"),
@@ -185,6 +181,7 @@ def test_what_was_stopped_says_how_to_go_on(command, monkeypatch, inside, words,
 
     monkeypatch.setattr(inside, stop)
     plan = SimpleNamespace(table={"budget": 1.0})
+    monkeypatch.setattr("tuning.tuner.configuration.configure_tuning", lambda request: "")
     monkeypatch.setattr("tuning.tuner.configuration.build", lambda text: plan)
     answer = command(*words.split(), "--out", "new")
     last = answer.err.splitlines()[-1]

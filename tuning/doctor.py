@@ -12,7 +12,7 @@ import jaxlib.version
 from jaxstage import Timing, __version__, build, explain, replace
 from jaxstage.batch import rollouts
 from jaxstage.engine.build import compiler
-from jaxstage.runtime import cache_folder, cpu_cores
+from jaxstage.runtime import cache_folder, cpu_cores, processor
 
 LANES = 128
 TICKS = 4000  # as many as the engine compiles
@@ -27,6 +27,7 @@ def examine() -> dict[str, Any]:
         "jax": jax.__version__,
         "jaxlib": jaxlib.version.__version__,
         "backend": jax.default_backend(),
+        "processor": processor(),
         "devices": [d.device_kind for d in devices],
         "cores": cpu_cores(),
         "cores_used": len(devices) if jax.default_backend() == "cpu" else 0,

@@ -8,7 +8,9 @@ smooth pieces that the window touches (see `segments`).
 # pyright: reportArgumentType=false
 # (numpy leaves on the host, JAX arrays once cast)
 
+import functools
 from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +21,7 @@ from numpy.typing import DTypeLike
 from jaxstage.blocks import Reference
 from jaxstage.fields import part, pytree, replace, signal
 from jaxstage.numerics.geometry import norm, projection_step
-from jaxstage.references.arc import arc_at, arc_table, as_double, host_frame, spans
+from jaxstage.references.arc import ArcTable, arc_at, arc_table, as_double, host_frame, spans
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 from jaxstage.references.segments import (
     Seats,
@@ -61,11 +63,10 @@ def make_path(
     if not 0 < window <= 0.25:
         raise ValueError(f"window must be in (0, 0.25] of a lap; got {window!r}")
     curve = as_double(curve)
-    table = arc_table(curve)
-    moments = timing(curve, table)
-    bounds = arc_at(curve, table, curve.knots[np.append(spans(curve), len(curve.weights))])
-    pieces, endless = smooth_pieces(curve)
-    segments, unrolled, rows, error = lap_segments(curve, table, bounds, pieces)
+    leaves, structure = jax.tree.flatten(curve)
+    key = (structure, tuple((leaf.shape, leaf.tobytes()) for leaf in leaves))
+    table, segments, unrolled, rows, error, endless = _cut(key)
+    moments = _ticks(key, timing)
     shifts = (-1, 0, 1) if is_closed(curve) and not endless else (0,)
     seats = lap_seats(segments, unrolled, rows, moments.arc, table.arc[-1], window, shifts)
     path = Path(
@@ -78,6 +79,42 @@ def make_path(
     return jax.tree.map(
         lambda x: jnp.asarray(x, real if np.issubdtype(x.dtype, np.floating) else x.dtype), path
     )
+
+
+class _Cut(NamedTuple):
+    """What depends on the curve alone. unrolled, rows, error: see `lap_segments`."""
+
+    table: ArcTable
+    segments: Segments
+    unrolled: np.ndarray
+    rows: np.ndarray
+    error: np.ndarray
+    endless: bool
+
+
+#: structure of a curve, and the shape and the bytes of each of its arrays
+_Key = tuple[Any, tuple[tuple[tuple[int, ...], bytes], ...]]
+
+
+def _curve(key: _Key) -> Nurbs:
+    arrays = [np.frombuffer(data).reshape(shape) for shape, data in key[1]]
+    return jax.tree.unflatten(key[0], arrays)
+
+
+@functools.lru_cache(maxsize=32)
+def _cut(key: _Key) -> _Cut:
+    """The table and the segments of a float64 curve, made once for equal curves."""
+    curve = _curve(key)
+    table = arc_table(curve)
+    bounds = arc_at(curve, table, curve.knots[np.append(spans(curve), len(curve.weights))])
+    pieces, endless = smooth_pieces(curve)
+    return _Cut(table, *lap_segments(curve, table, bounds, pieces), endless)
+
+
+@functools.lru_cache(maxsize=8)
+def _ticks(key: _Key, timing: LapTiming) -> Ticks:
+    """The ticks of a lap, made once for equal curves and the same timing."""
+    return timing(_curve(key), _cut(key).table)
 
 
 def mean_feed(path: Path) -> Array:

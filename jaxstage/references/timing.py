@@ -4,6 +4,7 @@ The phase k/n is computed in double from integers, before any cast; a tick withi
 of a knot is put on it, and takes the right limit there.
 """
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -41,6 +42,11 @@ def uniform_parameter(lap_time: float, dt: float) -> LapTiming:
     lap_time: s, T. dt: s. Both finite and > 0, T >= dt, else ValueError.
     Source: Mao et al., Energies 2021, 14, 7802, eqs (32)-(34).
     """
+    return _uniform_parameter(float(lap_time), float(dt))
+
+
+@functools.cache
+def _uniform_parameter(lap_time: float, dt: float) -> LapTiming:
     _positive("lap_time", lap_time, "s")
     _positive("dt", dt, "s")
     if lap_time < dt:
@@ -68,6 +74,11 @@ def constant_feed(feed: float, dt: float) -> LapTiming:
     `path.mean_feed`). dt: s. Both finite and > 0, else ValueError; so is a lap of under 2 ticks.
     Where C' = 0, u' is that of a place just inside the span.
     """
+    return _constant_feed(float(feed), float(dt))
+
+
+@functools.cache
+def _constant_feed(feed: float, dt: float) -> LapTiming:
     _positive("feed", feed, "mm/min")
     _positive("dt", dt, "s")
 

@@ -163,12 +163,14 @@ def _simulate(
 ) -> dict[str, Any]:
     """Run what is missing, with a bar on standard error; returns how many runs that was."""
     from jaxstage.files import goes_on
+    from tuning.sweeps import store
     from tuning.sweeps.display import bar
     from tuning.sweeps.sweep import sweep as run_sweep
 
     total, begin = plan.table["runs"] * len(plan.cases), time.perf_counter()
     try:
-        with bar(metric, total) as watch:
+        kept = store.read(out, plan, ["finite", metric]) if store.present(out, plan) else None
+        with bar(metric, total, kept) as watch:
             runs = run_sweep(plan.text, out, executor, watch, cores if executor else None)
     except KeyboardInterrupt:
         raise InterruptedError("finished chunks are kept, --resume goes on") from None

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
@@ -22,14 +23,19 @@ MOST = 4
 
 
 @contextmanager
-def bar(metric: str, total: int) -> Iterator[Callable[[Progress], None]]:
-    """A bar on standard error: runs per second, time left, lost runs, worst figure so far."""
+def bar(
+    metric: str, total: int, kept: pa.Table | None = None
+) -> Iterator[Callable[[Progress], None]]:
+    """A bar on standard error: runs per second, time left, lost runs, worst figure so far.
+
+    kept: rows that were there before, of an earlier sweep into the folder.
+    """
     name, unit = split_key(metric)
     columns = (
         BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(), TextColumn("{task.fields[state]}"),
     )  # fmt: skip
-    lost, worst = 0, -np.inf
+    lost, worst = (0, -np.inf) if kept is None else _lost_and_worst(kept, metric)
     # a chunk may take minutes: the rate is that of all chunks so far
     with RichProgress(
         *columns, console=Console(stderr=True), speed_estimate_period=np.inf
@@ -38,15 +44,21 @@ def bar(metric: str, total: int) -> Iterator[Callable[[Progress], None]]:
 
         def watch(now: Progress) -> None:
             nonlocal lost, worst
-            finite, values = (now.written[c].to_numpy() for c in ("finite", metric))
-            lost += int((~finite).sum())
-            worst = max(worst, np.max(values, initial=-np.inf, where=np.isfinite(values)))
+            more, largest = _lost_and_worst(now.written, metric)
+            lost, worst = lost + more, max(worst, largest)
             shown = f"{lost} lost" + (f", worst {name} {worst:.4g} {unit}" if worst > 0 else "")
             speed = progress.tasks[task].speed
             rate = f"{speed:.3g} runs/s" if speed else ""
             progress.update(task, completed=now.done, rate=rate, state=shown)
 
         yield watch
+
+
+def _lost_and_worst(rows: pa.Table, metric: str) -> tuple[int, float]:
+    """Runs that were lost, and the largest figure of the others."""
+    finite, values = (rows[c].to_numpy() for c in ("finite", metric))
+    largest = np.max(values, initial=-np.inf, where=np.isfinite(values))
+    return int((~finite).sum()), float(largest)
 
 
 def show(found: Analysis, answer: dict[str, Any]) -> None:

@@ -75,18 +75,20 @@ def write(folder: Path, plan: Plan, index: int, rows: pa.Table) -> None:
 
 
 def present(folder: Path, plan: Plan) -> list[Path]:
-    """The files of the chunks that are there, by loop and run. Raises ValueError for none."""
+    """The files of the chunks that are there, by loop and run."""
     gone = set(missing(folder, plan))
     every = range(plan.chunks * len(plan.cases))
-    files = [chunk_file(folder, plan, index) for index in every if index not in gone]
-    if not files:
-        raise ValueError(f"{folder} has no runs yet: sweep with --resume goes on with it")
-    return files
+    return [chunk_file(folder, plan, index) for index in every if index not in gone]
 
 
 def read(folder: Path, plan: Plan, columns: Sequence[str] | None = None) -> pa.Table:
-    """The rows of all chunks that are there, by loop and run. columns: only these."""
+    """The rows of all chunks that are there, by loop and run. columns: only these.
+
+    Raises ValueError where there are none.
+    """
     wanted = None if columns is None else list(columns)
     tables = [pq.read_table(file, columns=wanted) for file in present(folder, plan)]
+    if not tables:
+        raise ValueError(f"{folder} has no runs yet: sweep with --resume goes on with it")
     # laws have figures of their own: null in the rows of the others
     return pa.concat_tables(tables, promote_options="default").combine_chunks()

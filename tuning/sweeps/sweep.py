@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from jaxstage.batch import rollouts
-from jaxstage.runtime import configure, cpu_cores
+from jaxstage.runtime import configure, cpu_cores, processor
 from tuning.folders import digest
 from tuning.sweeps import store
 from tuning.sweeps.configuration import Plan, batch_of, build, drawn_values
@@ -99,7 +99,7 @@ def _metadata(plan: Plan) -> dict[str, str]:
         "numpy": np.__version__,
         "python": platform.python_version(),
         "machine": platform.machine(),
-        "processor": jax.local_devices()[0].device_kind,
+        "processor": processor(),
         "devices": str(min(jax.local_device_count(), plan.size)),
         "seed": str(plan.table["seed"]),
     }
