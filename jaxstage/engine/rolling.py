@@ -5,6 +5,7 @@ share is one node, the same for all. A loop over them is possible where these ce
 distances.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -26,53 +27,56 @@ class Roll(NamedTuple):
     members: tuple[int, ...]
 
 
-class Kinds:
-    """What nodes have in common, by number: equal ones are alike."""
+class Kinds(NamedTuple):
+    """What nodes have in common. of: a number of each node, by its own; those that are alike have
+    the same. cells: of long arrays that a node reads, none where it stands for itself."""
 
-    def __init__(self, nodes: Iterable[Node], known: Iterable[int]) -> None:
-        """nodes: all that there are, arguments first. known: those that stand for themselves."""
-        nodes, known = list(nodes), set(known)
-        counts: dict[Any, int] = {}
-        for node in nodes:
-            if node.op == "in" and node.kind == "f":
-                counts[node.value[0]] = counts.get(node.value[0], 0) + 1
-        self._numbers: dict[Any, int] = {}
-        self.of: dict[int, int] = {}
-        self.cells: dict[int, tuple[Node, ...]] = {}
-        for node in nodes:
-            own = self._cells_of(node, counts)
-            alone = not own or len(own) > CELLS or node.id in known
-            self.cells[node.id] = () if alone else own
-            self.of[node.id] = self._number(("node", node.id) if alone else self._form(node, own))
+    of: dict[int, int]
+    cells: dict[int, tuple[Node, ...]]
 
-    def _cells_of(self, node: Node, counts: dict[Any, int]) -> tuple[Node, ...]:
-        if node.op == "in":
-            return (node,) if counts.get(node.value[0], 0) >= LONG else ()
-        if node.op in ("loop", "after", "load", "all_finite"):
-            return ()
-        return tuple(c for a in node.args for c in self.cells[a.id])[: CELLS + 1]
 
-    def _form(self, node: Node, own: tuple[Node, ...]) -> Any:
-        if node.op == "in":
-            return "cell", node.value[0]
-        return node.op, node.kind, repr(node.value), tuple(self.of[a.id] for a in node.args)
+def kinds(nodes: list[Node], known: Iterable[int]) -> Kinds:
+    """What nodes have in common. nodes: all that there are, arguments first; known: numbers of
+    those that stand for themselves."""
+    inputs = Counter(n.value[0] for n in nodes if n.op == "in" and n.kind == "f")
+    numbers: dict[Any, int] = {}
+    found, alone = Kinds({}, {}), set(known)
+    for node in nodes:
+        cells = _cells(node, inputs, found)
+        if not cells or len(cells) > CELLS or node.id in alone:
+            form: Any = "node", node.id
+            cells = ()
+        elif node.op == "in":
+            form = "cell", node.value[0]
+        else:
+            alike = tuple(found.of[a.id] for a in node.args)
+            form = node.op, node.kind, repr(node.value), alike
+        found.cells[node.id] = cells
+        found.of[node.id] = numbers.setdefault(form, len(numbers))
+    return found
 
-    def _number(self, form: Any) -> int:
-        return self._numbers.setdefault(form, len(self._numbers))
+
+def _cells(node: Node, inputs: Counter[Any], found: Kinds) -> tuple[Node, ...]:
+    if node.op == "in":
+        return (node,) if inputs[node.value[0]] >= LONG else ()
+    if node.op in ("loop", "after", "load", "all_finite"):
+        return ()
+    return tuple(c for a in node.args for c in found.cells[a.id])[: CELLS + 1]
 
 
 def rolls(
-    nodes: list[Node], keys: list[Any], kinds: Kinds, slot: Callable[[Node], tuple[str, int]]
+    nodes: list[Node], keys: list[Any], alike: Kinds, slot: Callable[[Node], tuple[str, int]]
 ) -> list[Roll]:
-    """The loops that there are. keys: what the users of the nodes must have in common; slot: the
+    """The loops that there are. keys: what the users of the nodes must have in common; alike: what
+    nodes have; slot: the
     text of a cell with a place for its slot, and its slot."""
     groups: dict[Any, list[int]] = {}
     for number, (node, key) in enumerate(zip(nodes, keys, strict=True)):
-        if kinds.cells[node.id]:
-            groups.setdefault((key, kinds.of[node.id]), []).append(number)
+        if alike.cells[node.id]:
+            groups.setdefault((key, alike.of[node.id]), []).append(number)
     found = []
     for members in groups.values():
-        cells = _in_steps([kinds.cells[nodes[m].id] for m in members], slot)
+        cells = _in_steps([alike.cells[nodes[m].id] for m in members], slot)
         if len(members) >= LONG // 2 and cells is not None:
             found.append(Roll(nodes[members[0]], cells, tuple(members)))
     return found

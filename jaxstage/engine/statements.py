@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from jaxstage.engine.node import Node, ordered
-from jaxstage.engine.rolling import Kinds, Roll, rolls
+from jaxstage.engine.rolling import Kinds, Roll, kinds, rolls
 from jaxstage.engine.spelling import constant, expression
 from jaxstage.engine.stores import (
     Cells,
@@ -78,7 +78,7 @@ def write(
     """The statements that compute and store."""
     stores = list(stores)
     nodes = ordered([n for s in stores for n in s.needs])
-    w = _Writing(cells, known, single, prefix, dict(known.names), Kinds(nodes, known.names), {})
+    w = _Writing(cells, known, single, prefix, dict(known.names), kinds(nodes, known.names), {})
     loops: list[Rolled] = []
     if cells.slot is not None:
         loops, stores = rolled(stores, w.kinds, cells)
