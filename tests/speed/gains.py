@@ -39,6 +39,8 @@ ROWS = (
     Row("lambda", "smc-s7-implicit", ("--gains", "lam")),
     Row("beta", "smc-s7-implicit", ("--gains", "beta")),
     Row("all of it", "smc-s7-implicit", ()),
+    Row("all, margin 0.25", "smc-s7-implicit", ("--margin", "0.25")),
+    Row("all of it", "asmc-floored-s7-implicit", ()),
     Row("rules", "af-pid-ccc", ("--gains", "rules")),
     Row("all but rules", "pid-ccc", ()),
     Row("all of it", "af-pid-ccc", ()),

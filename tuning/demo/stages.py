@@ -28,7 +28,7 @@ KIND = folders.Kind("demo.toml", "demo", ("jaxstage", "loops", "plants"))
 #: the published law, and the industrial cascade on the same machine
 LOOPS = ("dfcmac-circle", "cascade-circle")
 #: units that the tuning of each law may spend
-BUDGET = 200
+BUDGET = 1000
 #: plants of each sweep, and the seed that they are drawn by: that of the tunings is 0
 PLANTS, SEED = 256, 77
 #: runs of one file of a sweep: the step of its progress
