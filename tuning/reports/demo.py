@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxstage.metrics.table import split_key
 from tuning.reports import single, tuned
-from tuning.reports.page import Page, Table, interval, number, pictures
+from tuning.reports.page import Page, Table, answers, interval, number, pictures
 
 Found = Mapping[str, Any]
 
@@ -17,11 +17,7 @@ NOMINAL = ("contour_rms_um", "contour_max_um", "energy_J")
 
 def read(folder: Path) -> Page:
     """The page of a folder with ``demo.toml``. Raises ValueError for a demo that was stopped."""
-    if not (folder / "demo.json").is_file():
-        raise ValueError(
-            f"{folder} holds a demo without answers: `jaxstage demo --out {folder}` finishes it"
-        )
-    found = _read(folder / "demo.json")
+    found = answers(folder, "demo.json", "demo", f"`jaxstage demo --out {folder}`")
     names = [loop["loop"] for loop in found["loops"]]
     better = [_better(loop) for loop in found["loops"]]
     return Page(

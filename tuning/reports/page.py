@@ -1,6 +1,7 @@
 """What a report says, whatever it is about, and how it becomes one HTML file."""
 
 import base64
+import json
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -58,6 +59,16 @@ def html(page: Page) -> str:
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     return environment.from_string(template).render(page=page, version=__version__)
+
+
+def answers(folder: Path, name: str, noun: str, goes_on: str) -> dict[str, Any]:
+    """The JSON file that long work ends with. Raises ValueError for work that was stopped.
+
+    goes_on: the command that finishes it.
+    """
+    if not (folder / name).is_file():
+        raise ValueError(f"{folder} holds a {noun} without answers: {goes_on} finishes it")
+    return json.loads((folder / name).read_text(encoding="utf-8"))
 
 
 def pictures(folder: Path, texts: Mapping[str, str]) -> tuple[Picture, ...]:

@@ -1,6 +1,5 @@
 """The report of a Monte-Carlo sweep: the folder that ``jaxstage sweep --out`` leaves."""
 
-import json
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -9,19 +8,15 @@ from typing import Any
 import tomli_w
 
 from jaxstage.metrics.table import split_key
-from tuning.reports.page import Page, Table, interval, number, pictures
+from tuning.reports.page import Page, Table, answers, interval, number, pictures
 
 Found = Mapping[str, Any]
 
 
 def read(folder: Path) -> Page:
     """The page of a folder with ``sweep.toml``. Raises ValueError for a sweep that was stopped."""
-    if not (folder / "summary.json").is_file():
-        raise ValueError(
-            f"{folder} holds a sweep without answers: `jaxstage sweep --out {folder} --resume` "
-            "finishes it"
-        )
-    found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    goes_on = f"`jaxstage sweep --out {folder} --resume`"
+    found = answers(folder, "summary.json", "sweep", goes_on)
     table = tomllib.loads((folder / "sweep.toml").read_text(encoding="utf-8"))
     return Page(
         title=f"{', '.join(loop['loop'] for loop in found['loops'])}: {found['runs']} plants",

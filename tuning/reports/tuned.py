@@ -1,13 +1,12 @@
 """The report of a tuning: the folder that ``jaxstage tune --out`` leaves."""
 
-import json
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from jaxstage.metrics.table import split_key
-from tuning.reports.page import Page, Table, interval, number, pictures
+from tuning.reports.page import Page, Table, answers, interval, number, pictures
 
 Found = Mapping[str, Any]
 
@@ -31,12 +30,8 @@ TEXTS = {
 
 def read(folder: Path) -> Page:
     """The page of a folder with ``tune.toml``. Raises ValueError for a tuning that was stopped."""
-    if not (folder / "tune.json").is_file():
-        raise ValueError(
-            f"{folder} holds a tuning without answers: the same `jaxstage tune` with --resume "
-            "finishes it"
-        )
-    found = json.loads((folder / "tune.json").read_text(encoding="utf-8"))
+    goes_on = "the same `jaxstage tune` with --resume"
+    found = answers(folder, "tune.json", "tuning", goes_on)
     table = tomllib.loads((folder / "tune.toml").read_text(encoding="utf-8"))
     return Page(
         title=f"{found['loop']}: tuned gains",
