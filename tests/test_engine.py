@@ -379,6 +379,15 @@ def test_without_a_compiler_everything_works(monkeypatch):
     assert "compiler" in str(engine_loop.refusal(program(c)))
 
 
+def test_a_full_disk_is_a_scan_with_its_reason(monkeypatch):
+    def full(*args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(building.os, "replace", full)
+    with pytest.raises(NotImplementedError, match=r"cannot be written: .*No space left"):
+        building.build('// a text of its own\n#define REAL double\n#include "simd.h"\n')
+
+
 # --- the cache -------------------------------------------------------------------------------
 
 

@@ -91,7 +91,7 @@ def library_file(text: str) -> Path:
 def build(text: str) -> Built:
     """Compile a kernel, or take it from the cache, and make it known to XLA.
 
-    Raises NotImplementedError without a compiler or when it fails.
+    Raises NotImplementedError without a compiler, when it fails, and without space for the library.
     """
     program = compiler()
     if program is None:
@@ -101,7 +101,10 @@ def build(text: str) -> Built:
     library = _opened(file)
     if library is None:
         cached = False
-        _compile(program, text, file)
+        try:
+            _compile(program, text, file)
+        except OSError as error:
+            raise NotImplementedError(f"{file.parent} cannot be written: {error}") from error
         library = _opened(file)
     if library is None:
         raise NotImplementedError(f"the kernel {file} cannot be loaded")

@@ -191,7 +191,7 @@ def _oracle(ledger: _Ledger, problem: Problem) -> Oracle:
 
 def tune(
     problem: Problem, method: Method | None = None, starts: int | np.ndarray = 1, seed: int = 0,
-    budget: float = 200.0, prices: Prices | None = None, journal: Path | None = None,
+    budget: float = 2000.0, prices: Prices | None = None, journal: Path | None = None,
     watch: Callable[[Progress], None] = lambda progress: None,
 ) -> Tuned:  # fmt: skip
     """Minimise J from the gains before, and from other starts.
