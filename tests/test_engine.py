@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
+from speed.agreement import distinct, moved, spread
 
 import jaxstage as js
 from jaxstage.blocks import compiled, scan
@@ -19,7 +20,6 @@ from jaxstage.fields import replace
 from jaxstage.metrics import high_frequency, tracking
 from jaxstage.rollout import compiled_form, start
 from jaxstage.sensors import Noisy, ideal_sensor, noisy
-from tests.speed.agreement import distinct, moved, spread
 
 TICKS = 30
 #: one loop of each machine with each kind of law, coupled, with sensors, delays and observers
