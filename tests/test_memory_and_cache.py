@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from jaxstage.engine import build
+
 MEMORY = """
 import resource, sys
 import jax, numpy as np
@@ -79,3 +81,12 @@ def test_memory_of_ten_thousand_runs_does_not_grow_with_their_length(tmp_path):
 def test_a_second_start_finds_its_compiled_programs(tmp_path):
     assert child(CACHE, tmp_path) == [0]
     assert child(CACHE, tmp_path)[0] >= 1
+
+
+def test_a_full_disk_is_a_scan_with_its_reason(monkeypatch):
+    def full(*args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(build.os, "replace", full)
+    with pytest.raises(NotImplementedError, match=r"cannot be written: .*No space left"):
+        build.build('// a text of its own\n#define REAL double\n#include "simd.h"\n')

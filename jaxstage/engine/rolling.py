@@ -11,8 +11,10 @@ from typing import Any, NamedTuple
 
 from jaxstage.engine.node import Node
 
-#: fewer cells are no long array, and fewer rounds no loop
+#: fewer cells are no long array
 LONG = 32
+#: fewer rounds are no loop
+ROUNDS = 16
 #: a node that is made of more cells than this stands for itself: it is no computation on one cell
 CELLS = 12
 
@@ -68,16 +70,17 @@ def rolls(
     nodes: list[Node], keys: list[Any], alike: Kinds, slot: Callable[[Node], tuple[str, int]]
 ) -> list[Roll]:
     """The loops that there are. keys: what the users of the nodes must have in common; alike: what
-    nodes have; slot: the
-    text of a cell with a place for its slot, and its slot."""
+    the nodes have; slot: the text of a cell with a place for its slot, and its slot."""
     groups: dict[Any, list[int]] = {}
     for number, (node, key) in enumerate(zip(nodes, keys, strict=True)):
         if alike.cells[node.id]:
             groups.setdefault((key, alike.of[node.id]), []).append(number)
     found = []
     for members in groups.values():
+        if len(members) < ROUNDS:
+            continue
         cells = _in_steps([alike.cells[nodes[m].id] for m in members], slot)
-        if len(members) >= LONG // 2 and cells is not None:
+        if cells is not None:
             found.append(Roll(nodes[members[0]], cells, tuple(members)))
     return found
 
@@ -86,7 +89,7 @@ def _in_steps(
     rounds: list[tuple[Node, ...]], slot: Callable[[Node], tuple[str, int]]
 ) -> dict[int, tuple[str, int, int]] | None:
     """The cells of the first round, if those of the others follow at equal distances."""
-    if len({len(r) for r in rounds}) > 1 or len(rounds) < 2:
+    if len({len(r) for r in rounds}) > 1:
         return None
     found = {}
     for cells in zip(*rounds, strict=True):

@@ -105,13 +105,13 @@ def _bounded(index: Node) -> bool:
     return index.kind in "il" and LIMITS["i"][0] < index.low <= index.high < LIMITS["i"][1]
 
 
-def excluded(store: Store, condition: Node | None, cells: Cells) -> bool:
+def excluded(store: Store, condition: Node, cells: Cells) -> bool:
     """Whether a store is ``other condition ? value : what the cell held``, with a condition that
     never holds together with this one."""
     node = store.node
     if node.op != "select" or store.add or not _holds(store, node.args[2], cells):
         return False
-    given = _conjuncts(condition) if condition is not None else set()
+    given = _conjuncts(condition)
     return any(
         (part, not truth) in given or (not truth and _conjuncts(part) <= given)
         for part, truth in _conjuncts(node.args[0])
@@ -125,15 +125,22 @@ def _conjuncts(node: Node) -> set[tuple[Node, bool]]:
     return {(node.args[0], False)} if node.op == "not" else {(node, True)}
 
 
+def _freed(store: Store, cells: Cells) -> Store:
+    """A store of ``where ? value : what the cell held`` as one of the value, only ``where``."""
+    node = store.node
+    if node.op == "select" and node.kind == "f" and _holds(store, node.args[2], cells):
+        return store._replace(node=node.args[1], where=node.args[0])
+    return store
+
+
 def guarded(stores: list[Store], cells: Cells) -> tuple[list[list[Store]], list[Store]]:
     """Stores of ``where ? value : what the cell held`` under one condition, and the rest."""
     groups: dict[int, list[Store]] = {}
     rest = []
     for store in stores:
-        node = store.node
-        if node.op == "select" and node.kind == "f" and _holds(store, node.args[2], cells):
-            own = store._replace(node=node.args[1], where=node.args[0])
-            groups.setdefault(node.args[0].id, []).append(own)
+        own = _freed(store, cells)
+        if own.where is not None:
+            groups.setdefault(own.where.id, []).append(own)
         else:
             rest.append(store)
     several = [g for g in groups.values() if len(g) > 2]
@@ -170,13 +177,6 @@ def rolled(stores: list[Store], kinds: Kinds, cells: Cells) -> tuple[list[Rolled
             found.append(Rolled(freed[roll.members[0]], step, roll))
             used.update(roll.members)
     return found, [s for i, s in enumerate(stores) if i not in used]
-
-
-def _freed(store: Store, cells: Cells) -> Store:
-    node = store.node
-    if node.op == "select" and node.kind == "f" and _holds(store, node.args[2], cells):
-        return store._replace(node=node.args[1], where=node.args[0])
-    return store
 
 
 def _alone(cell: tuple[str, int, int], roll: Roll, written: dict[tuple[str, int], int]) -> bool:
