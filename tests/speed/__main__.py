@@ -41,7 +41,7 @@ def _against_c(quick: bool) -> list[compare.Result]:
 
 def _write(file: Path, results: list[compare.Result]) -> None:
     found = [
-        {**r.row._asdict(), "ticks": compare.TICKS[r.row.lanes], "difference": r.difference,
+        {**r.row._asdict(), "ticks": r.row.ticks, "difference": r.difference,
          "seconds": {name: t._asdict() for name, t in r.times.items()}}
         for r in results
     ]  # fmt: skip

@@ -17,19 +17,26 @@ from .timing import Times, first_calls, in_turn
 #: relative difference of the ATE of any run that is taken for agreement
 AGREE = {"float64": 1e-9, "float32": 1e-3}
 TICKS = {1: 10_000, 64: 5_000, 4096: 400}
+#: a lap of 1 s, which only C++ and the compiled engine run in no time
+LAP = 10_000
 
 
 class Row(NamedTuple):
-    """A configuration to time."""
+    """A configuration to time. lap: the runs last one, and scans are left out."""
 
     law: str
     dtype: str
     full: bool
     lanes: int
+    lap: bool = False
+
+    @property
+    def ticks(self) -> int:
+        return LAP if self.lap else TICKS[self.lanes]
 
     @property
     def work(self) -> Work:
-        return work(self.law, self.dtype, self.lanes, TICKS[self.lanes], self.full)
+        return work(self.law, self.dtype, self.lanes, self.ticks, self.full)
 
 
 def rows(quick: bool) -> list[Row]:
@@ -38,7 +45,8 @@ def rows(quick: bool) -> list[Row]:
         return [Row("dfcmac", d, False, 64) for d in AGREE] + [Row("sliding", "float32", False, 64)]
     lean = [Row("dfcmac", d, False, n) for d in AGREE for n in (1, 64, 4096)]
     full = [Row("dfcmac", d, True, n) for d in AGREE for n in (1, 64, 4096)]
-    return lean + full + [Row("sliding", d, False, n) for d in AGREE for n in (64, 4096)]
+    laps = [Row(law, d, False, 4096, lap=True) for law in LAWS for d in AGREE]
+    return lean + full + [Row("sliding", d, False, n) for d in AGREE for n in (64, 4096)] + laps
 
 
 def variants() -> tuple[Variant, ...]:
@@ -71,14 +79,16 @@ def contenders(row: Row, variant: Variant) -> dict[str, Callable[[], Any]]:
     runs = row.work
     programs: dict[str, Callable[[], Any]] = {
         "C++": Kernel(runs, variant),
-        "rollouts": batched(runs, min(DEFAULT, runs.lanes), 1),
-        "vmap": vmapped(runs),
         "engine": batched(compiled(runs), runs.lanes, 1),
     }
+    if not row.lap:
+        programs["rollouts"] = batched(runs, min(DEFAULT, runs.lanes), 1)
+        programs["vmap"] = vmapped(runs)
     if runs.lanes > 1 and jax.local_device_count() > 1:
         programs["C++ 2"] = Kernel(runs, variant, threads=2)
-        programs["rollouts 2"] = batched(runs, min(DEFAULT, runs.lanes // 2), 2)
         programs["engine 2"] = batched(compiled(runs), runs.lanes // 2, 2)
+        if not row.lap:
+            programs["rollouts 2"] = batched(runs, min(DEFAULT, runs.lanes // 2), 2)
     return programs
 
 
@@ -113,35 +123,34 @@ def measure(row: Row, variant: Variant, budget: float) -> Result:
 
 def _cells(result: Result) -> list[str]:
     row, t = result.row, result.times
-    steps = row.lanes * TICKS[row.lanes]
-    names = ("C++", "engine", "rollouts", "vmap")
-    one = {n: steps / t[n].cpu for n in names}
-    cells = [
-        f"{row.law} {row.dtype} {'all' if row.full else 'ATE'} {row.lanes}",
-        *(rate(one[n]) for n in names), *(ratio(one[n] / one["C++"]) for n in names[1:]),
-    ]  # fmt: skip
-    if "rollouts 2" in t:
-        two = [steps / t[n].best for n in ("C++ 2", "engine 2", "rollouts 2")]
-        cells += [*map(rate, two), ratio(two[1] / two[0])]
-    else:
-        cells += ["", "", "", ""]
+    steps = row.lanes * row.ticks
+    names = ("engine", "rollouts", "vmap")
+    one = {n: steps / t[n].cpu for n in ("C++", *names) if n in t}
+    two = {n: steps / t[n].best for n in ("C++ 2", "engine 2", "rollouts 2") if n in t}
     found = f"{result.difference:.0e}" + ("" if result.agrees else " DIFFERS")
-    return [*cells, found, *(f"{t[n].compiling:.1f}" for n in names[1:])]
+    return [
+        f"{row.law} {row.dtype} {'all' if row.full else 'ATE'} {row.lanes} x {row.ticks}",
+        *(rate(one[n]) if n in one else "" for n in ("C++", *names)),
+        *(ratio(one[n] / one["C++"]) if n in one else "" for n in names),
+        *(rate(two[n]) if n in two else "" for n in ("C++ 2", "engine 2", "rollouts 2")),
+        f"{t['engine'].best / t['engine 2'].best:.2f}" if two else "",
+        found, *(f"{t[n].compiling:.1f}" if n in t else "" for n in names),
+    ]  # fmt: skip
 
 
 def report(results: list[Result]) -> str:
     """The main table."""
     head = (
         "runs", "C++", "engine", "rollouts", "vmap", "eng./C++", "roll./C++", "vmap/C++",
-        "C++ 2 thr.", "eng. 2 dev.", "roll. 2 dev.", "ratio", "ATE diff.",
+        "C++ 2 thr.", "eng. 2 dev.", "roll. 2 dev.", "eng. x", "ATE diff.",
         "comp. s", "comp. s", "comp. s",
     )  # fmt: skip
     note = (
         "lane-steps per processor second (one core), for two threads or devices per second of\n"
         "wall time; best of runs taken in turn, calls as a user makes them (checks of the input\n"
-        "included). all: every default metric (C++ keeps ATE only). ATE diff.: the largest\n"
-        "relative difference of any run from C++. comp.: first call of engine, rollouts and vmap\n"
-        "beyond a later one, two at a time. jaxstage also looks for lost runs at every tick; C++\n"
-        "does not."
+        "included). eng. x: two devices against one, by the clock. all: every default metric (C++\n"
+        "keeps ATE only). ATE diff.: the largest relative difference of any run from C++. comp.:\n"
+        "first call of engine, rollouts and vmap beyond a later one, two at a time. jaxstage also\n"
+        "looks for lost runs at every tick; C++ does not."
     )
     return table("jaxstage against C++", head, [_cells(r) for r in results], note)
