@@ -28,7 +28,7 @@ EXAMPLES = {
     "sweep": "jaxstage sweep pi-circle cascade-circle -n 64 --set lap_time=1 --set laps=1 "
     '--spec "contour_max_um < 60 and finite" --target 0.5 --out swept',
     "replay": "jaxstage replay swept --worst 1",
-    "tune": "jaxstage tune pi-circle --budget 20 --out tuned",
+    "tune": "jaxstage tune pi-circle --budget 60 --out tuned",
     "export": "jaxstage export pi-circle --precision single --out c",
     "report": "jaxstage report swept",
     "doctor": "jaxstage doctor",

@@ -1,10 +1,12 @@
 """From gains that work to gains that work better: method, budget, progress, kept evaluations.
 
 A unit is one evaluation of the objective in all training runs; gradients and Jacobians are charged
-as `prices` says. The same problem, method, seed, starts and prices give the same result to the last
-bit on the same machine, in one go or stopped and taken up again (`journal`).
+as `prices` says. What would go beyond the budget is not asked. The same problem, method, seed,
+starts and prices give the same result to the last bit on the same machine, in one go or stopped and
+taken up again (`journal`).
 """
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -77,7 +79,8 @@ class StartResult(NamedTuple):
 
 
 class Tuned(NamedTuple):
-    """before, after: J. feasible: no training run is lost and every goal is met. ended: why."""
+    """before, after: J. feasible: no training run is lost and every goal is met. ended: why. note:
+    why CMA-ES searched in place of the method that was asked for, or empty."""
 
     method: str
     n: int
@@ -94,6 +97,7 @@ class Tuned(NamedTuple):
     starts: tuple[StartResult, ...]
     history: tuple[Progress, ...]
     ended: str
+    note: str
 
 
 class _Best(NamedTuple):
@@ -112,6 +116,7 @@ class _Ledger(NamedTuple):
     """What a tuning has asked so far; it fills while it runs. costs: (units, seconds) of every
     question. known: answers of this process by question."""
 
+    budget: float
     folder: Path | None
     prices: Prices
     starts: int
@@ -130,15 +135,23 @@ class _Ledger(NamedTuple):
         return sum(seconds for _, seconds in self.costs)
 
 
+class _BeyondBudget(Exception):
+    """A question costs more than what is left."""
+
+
 def _kept(ledger: _Ledger, question: str, units: float, answer: Callable[[], Answer]) -> Answer:
-    """The answer to a question, asked and charged only once."""
+    """The answer to a question, asked and charged only once. Raises `_BeyondBudget`."""
     if question not in ledger.known:
+        if ledger.units + units > ledger.budget + ROUNDING:
+            raise _BeyondBudget
         index = len(ledger.costs) + FIRST
         ledger.known[question], seconds = keep(ledger.folder, index, question, answer)
         ledger.costs.append((units, seconds))
     return ledger.known[question]
 
 
+#: of a sum of units
+ROUNDING = 1e-6
 #: questions kept before those of the search: what is tuned, and the prices
 FIRST = 2
 
@@ -199,18 +212,19 @@ def tune(
     method: None chooses: by the number of parameters, and by a check of the gradients, CMA-ES where
     it fails; with few parameters what a descent leaves of the budget goes to CMA-ES from its best
     point, which passes kinks where no gradient leads on. starts: how many, the first the gains
-    before, or their z (k, n). budget: units; the step under way is finished. prices: None measures
-    them. journal: folder that keeps every evaluation; given again, the tuning goes on where it was
-    stopped. watch: called after each step.
+    before, or their z (k, n). budget: units, never overrun; where it does not pay for the first
+    step of the method, CMA-ES searches, and `note` says so. prices: None measures them. journal:
+    folder that keeps every evaluation; given again, the tuning goes on where it was stopped. watch: called after each step.
 
-    Raises ValueError for an impossible budget or number of starts, and for a journal of something
-    else.
+    Raises ValueError for a budget that does not pay for the values of the starts, an impossible
+    number of starts, and for a journal of something else.
     """
-    if not budget > 0:
-        raise ValueError(f"budget = {budget:g}: must be > 0 units")
     count = starts if isinstance(starts, int) else len(starts)
     if not 1 <= count <= AMONG:
         raise ValueError(f"starts = {count}: must be 1..{AMONG}")
+    screened = AMONG if isinstance(starts, int) and starts > 1 else 0
+    if not budget >= screened + count:
+        raise ValueError(f"budget = {budget:g}: must be >= {screened + count} units")
     few = problem.space.size <= FEW
     chosen = method or (levenberg_marquardt() if few else lbfgs())
     told = starts if isinstance(starts, int) else np.ascontiguousarray(starts, float)
@@ -218,21 +232,33 @@ def tune(
     question = digest(fingerprint(problem), chosen.name, method is None, told, seed, told_prices)
     keep(journal, 0, question, dict)
     prices = prices or _kept_prices(problem, chosen, count, journal)
-    ledger = _Ledger(journal, prices, count, [], {}, {})
+    ledger = _Ledger(budget, journal, prices, count, [], {}, {})
     oracle = _oracle(ledger, problem)
     begun = _starts(oracle, problem, starts, seed)
-    check = None
-    if method is None:
+    size, check, note = problem.space.size, None, ""
+    least = screened + count * chosen.first(prices, size)
+    least += _price_of_check(prices, size, count) if method is None else 0
+    if chosen.needs and least > budget:
+        note = f"{chosen.name} needs {least:.0f} units for its first step: CMA-ES searched"
+        chosen = cma_es()
+    elif method is None:
         check = _check(ledger, problem, begun[0], seed)
         chosen = chosen if check.ok else cma_es()
     history: list[Progress] = []
-    ended = _search(ledger, problem, chosen, begun, seed, budget, watch, history)
+    ended = _search(ledger, problem, chosen, begun, seed, watch, history)
     ends = tuple(ledger.best[k] for k in range(count))
     if method is None and few and chosen.needs and ledger.units < budget:
         best = min(ends, key=_Best.key).z[None]
-        ended = _search(ledger, problem, cma_es(POLISH), best, seed, budget, watch, history)
+        ended = _search(ledger, problem, cma_es(POLISH), best, seed, watch, history)
     results = tuple(StartResult(z, *end) for z, end in zip(begun, ends, strict=True))
-    return _result(problem, chosen, ledger, results, check, history, ended)
+    return _result(problem, chosen, ledger, results, check, history, ended, note)
+
+
+def least_budget(method: Method, n: int, starts: int) -> int:
+    """The budget that pays for the first step of a method without gradients, which n parameters
+    are searched by from so many starts. Other methods fall back on CMA-ES."""
+    first = (method if not method.needs else cma_es()).first
+    return math.ceil(AMONG + starts * first(Prices(math.nan, math.nan, math.nan), n))
 
 
 def _kept_prices(problem: Problem, method: Method, starts: int, journal: Path | None) -> Prices:
@@ -262,6 +288,12 @@ def sobol_normal(seed: int, count: int, size: int) -> np.ndarray:
     return ndtri(np.clip(sobol_rows(seed, count, size, 0, count), TAIL, 1 - TAIL))
 
 
+def _price_of_check(prices: Prices, size: int, starts: int) -> float:
+    """Units of `_check`; its Jacobian is the one that a search from one start begins with."""
+    jacobian = prices.curvature if starts > 1 else 0.0
+    return 2 * DIRECTIONS * len(STEPS) + (jacobian if size <= FEW else DIRECTIONS)
+
+
 def _check(ledger: _Ledger, problem: Problem, z: np.ndarray, seed: int) -> GradientCheck:
     """The check of the gradients at the first start. What it asks is kept and charged: differences
     as evaluations, slopes along directions as one each."""
@@ -285,18 +317,32 @@ def _check(ledger: _Ledger, problem: Problem, z: np.ndarray, seed: int) -> Gradi
 
 
 def _search(
-    ledger: _Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int, budget: float,
+    ledger: _Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
     watch: Callable[[Progress], None], history: list[Progress],
 ) -> str:  # fmt: skip
-    """Step until the budget is spent or all starts are at their end; which of them it was.
+    """Step until all starts are at their end or the budget is; which of them it was.
 
-    history: every step is added to it."""
+    history: every step is added to it, and what was still tried of one that could not be paid."""
+
+    def tell(norms: np.ndarray) -> None:
+        history.append(_progress(ledger, norms, len(history)))
+        watch(history[-1])
+
+    try:
+        return _steps(ledger, problem, method, begun, seed, tell)
+    except _BeyondBudget:
+        if history[-1].units < ledger.units:
+            tell(np.full(len(begun), np.nan))
+        return "the budget does not pay for the next step"
+
+
+def _steps(
+    ledger: _Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
+    tell: Callable[[np.ndarray], None],
+) -> str:  # fmt: skip
     state = method.begin(_oracle(ledger, problem), begun, seed)
     while True:
-        history.append(_progress(ledger, state, len(history), budget))
-        watch(history[-1])
-        if ledger.units >= budget:
-            return "the budget is spent"
+        tell(state.gradient_norm)
         if np.all(state.done):
             missed = problem.goals and min(b.key()[0] for b in ledger.best.values()) > 0
             if not missed or problem.penalty * HARDER > HARDEST:
@@ -305,17 +351,17 @@ def _search(
             again = np.stack([ledger.best[row].z for row in range(len(begun))])
             state = method.begin(_oracle(ledger, problem), again, seed)
             continue
-        if ledger.units > TRIED * budget and len(problem.weights) == 1:
+        if ledger.units > TRIED * ledger.budget and len(problem.weights) == 1:
             state = state._replace(done=state.done | (state.value > BEHIND * np.min(state.value)))
         state = method.step(_oracle(ledger, problem), state)
 
 
-def _progress(ledger: _Ledger, state: Any, step: int, budget: float) -> Progress:
+def _progress(ledger: _Ledger, norms: np.ndarray, step: int) -> Progress:
     best = min(ledger.best.values(), key=_Best.key)
-    norms = state.gradient_norm[np.isfinite(state.gradient_norm)]
-    left = max(budget - ledger.units, 0.0) * ledger.seconds / max(ledger.units, 1.0)
+    norms = norms[np.isfinite(norms)]
+    left = (ledger.budget - ledger.units) * ledger.seconds / max(ledger.units, 1.0)
     return Progress(
-        step=step, units=ledger.units, budget=budget, seconds=ledger.seconds, left_s=left,
+        step=step, units=ledger.units, budget=ledger.budget, seconds=ledger.seconds, left_s=left,
         best=best.objective, gradient_norm=float(np.min(norms)) if len(norms) else np.nan,
         violation=best.violation, z=best.z,
     )  # fmt: skip
@@ -323,7 +369,7 @@ def _progress(ledger: _Ledger, state: Any, step: int, budget: float) -> Progress
 
 def _result(
     problem: Problem, method: Method, ledger: _Ledger, starts: tuple[StartResult, ...],
-    check: GradientCheck | None, history: list[Progress], ended: str,
+    check: GradientCheck | None, history: list[Progress], ended: str, note: str,
 ) -> Tuned:  # fmt: skip
     best = min(ledger.best.values(), key=_Best.key)
     assert problem.before is not None
@@ -333,4 +379,5 @@ def _result(
         before=float(problem.before.objective[0]), after=best.objective, violation=best.violation,
         feasible=best.violation <= 0, units=ledger.units, seconds=ledger.seconds,
         prices=ledger.prices, check=check, starts=starts, history=tuple(history), ended=ended,
+        note=note,
     )  # fmt: skip
