@@ -214,7 +214,8 @@ def tune(
     point, which passes kinks where no gradient leads on. starts: how many, the first the gains
     before, or their z (k, n). budget: units, never overrun; where it does not pay for the first
     step of the method, CMA-ES searches, and `note` says so. prices: None measures them. journal:
-    folder that keeps every evaluation; given again, the tuning goes on where it was stopped. watch: called after each step.
+    folder that keeps every evaluation; given again, the tuning goes on where it was stopped. watch:
+    called after each step.
 
     Raises ValueError for a budget that does not pay for the values of the starts, an impossible
     number of starts, and for a journal of something else.
@@ -235,7 +236,8 @@ def tune(
     ledger = _Ledger(budget, journal, prices, count, [], {}, {})
     oracle = _oracle(ledger, problem)
     begun = _starts(oracle, problem, starts, seed)
-    size, check, note = problem.space.size, None, ""
+    check, note = None, ""
+    size = problem.space.size
     least = screened + count * chosen.first(prices, size)
     least += _price_of_check(prices, size, count) if method is None else 0
     if chosen.needs and least > budget:
