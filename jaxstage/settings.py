@@ -1,6 +1,8 @@
 """Settings by name: paths, symbols and suffixes to leaves; TOML to settings and back."""
 
 import difflib
+import re
+import textwrap
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -183,4 +185,28 @@ def nested(tree: Any) -> Any:
 def to_toml(sections: Mapping[str, Any], values: Mapping[str, Any] | None = None) -> str:
     """TOML text of plain values and named pytrees; `read_toml` and `apply` take it back."""
     tables = {name: nested(tree) for name, tree in sections.items()}
-    return tomli_w.dumps({**(values or {}), **{k: v for k, v in tables.items() if v}})
+    return plain_toml({**(values or {}), **{k: v for k, v in tables.items() if v}})
+
+
+#: numbers of an array, one a line, as the writer of TOML leaves them: no string holds a line break
+_ROW = re.compile(
+    r"^(?P<indent> *)(?P<key>.*)\[\n(?P<numbers>(?: *[-+.\w]+,\n)+) *\]", re.MULTILINE
+)
+WIDTH = 100
+
+
+def plain_toml(table: Mapping[str, Any]) -> str:
+    """TOML text of plain data, with the rows of an array on lines."""
+    return _ROW.sub(_on_a_line, tomli_w.dumps(table))
+
+
+def _on_a_line(found: re.Match[str]) -> str:
+    indent, numbers = found["indent"], " ".join(found["numbers"].split()).removesuffix(",")
+    line = f"{indent}{found['key']}[{numbers}]"
+    if len(line) < WIDTH:
+        return line
+    rows = textwrap.fill(
+        numbers + ",", WIDTH - 1, initial_indent=f"{indent}    ",
+        subsequent_indent=f"{indent}    ", break_on_hyphens=False,
+    )  # fmt: skip
+    return f"{indent}{found['key']}[\n{rows}\n{indent}]"

@@ -1,5 +1,7 @@
 """Settings by name and from files: what a user types reaches the leaf that is meant."""
 
+import tomllib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +21,7 @@ from jaxstage.settings import (
     known_leaves,
     line_of,
     nearest_name,
+    plain_toml,
     read_toml,
     resolve,
     to_toml,
@@ -315,6 +318,28 @@ def test_both_files_give_back_a_case(tmp_path):
         one, other = getattr(back.scenario, name), getattr(case.scenario, name)
         jax.tree.map(np.testing.assert_array_equal, one, other)
     assert (jax.random.key_data(back.scenario.key) == jax.random.key_data(case.scenario.key)).all()
+
+
+NUMBERS = st.floats(allow_nan=False) | st.integers(-9, 9).map(float) | st.booleans()
+ARRAYS = st.recursive(
+    st.lists(NUMBERS, max_size=30), lambda x: st.lists(x, max_size=3), max_leaves=9
+)
+TEXTS = st.text() | st.lists(st.text(), max_size=3) | st.just("[\n  1.0,\n]")
+
+
+@given(st.dictionaries(st.text(max_size=9), NUMBERS | ARRAYS | TEXTS, max_size=3))
+@effort(max_examples=80, deadline=None)
+def test_written_as_toml_it_reads_back_the_same(values):
+    table = {"own": values, "all": [values, {"inner": values}]}
+    assert tomllib.loads(plain_toml(table)) == table
+
+
+def test_rows_of_an_array_stand_on_lines():
+    rows = plain_toml({"weights": np.zeros((2, 2, 3)).tolist(), "mass": [3e-3, -0.5], "none": []})
+    inner = "    [\n" + 2 * "        [0.0, 0.0, 0.0],\n" + "    ],\n"
+    assert rows == f"weights = [\n{2 * inner}]\nmass = [0.003, -0.5]\nnone = []\n"
+    long = plain_toml({"knots": np.linspace(-1, 1, 60).tolist()})
+    assert max(map(len, long.splitlines())) < 100 and long.count("\n") < 20
 
 
 def test_every_leaf_has_a_symbol_or_is_no_setting():

@@ -13,6 +13,7 @@ from jaxstage.settings import SCENARIO_PARTS, to_toml
 from jaxstage.signals import Run
 from jaxstage.studies import Case
 from jaxstage.studies.verdict import lost_because, verdict
+from tuning import gains_file
 
 
 def _tick(value: Any) -> int | None:
@@ -57,5 +58,5 @@ def write_settings(folder: Path, case: Case, result: dict[str, Any]) -> None:
     scenario = {name: getattr(case.scenario, name) for name in SCENARIO_PARTS}
     seed = {"seed": int(jax.random.key_data(case.scenario.key)[-1])}
     write_text(folder / "run.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
-    write_text(folder / "gains.toml", to_toml({"gains": case.gains}))
+    write_text(folder / "gains.toml", gains_file.to_text(case, case.gains))
     write_text(folder / "scenario.toml", to_toml(scenario, seed))

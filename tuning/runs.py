@@ -20,7 +20,7 @@ from jaxstage.signals import Run
 from jaxstage.studies import Case, Timing, all_studies, find, with_metric
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
 from jaxstage.studies.study import NamedLoop
-from tuning.gains_file import NOTES
+from tuning.gains_file import NOTES, refuse_other_law
 from tuning.results import summary, write_settings
 from tuning.scenario_file import NOT_VALUES, with_file_blocks
 
@@ -72,6 +72,8 @@ def prepare(
     published = case = entry.build(retimed(timing))
     if scenario_file is not None:
         published = case = with_file_blocks(case, scenario_file)
+    if gains_file is not None:
+        refuse_other_law(gains_file, case)
     changed: tuple[str, ...] = ()
     for file, roots, others in (
         (gains_file, ("gains",), NOTES),

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import tomli_w
 
 from jaxstage import __version__
 from jaxstage.metrics.table import key
-from jaxstage.settings import nearest_name
+from jaxstage.settings import nearest_name, plain_toml
 from jaxstage.studies import Case
 from tuning.cases import case_of, case_table
 from tuning.folders import Kind
@@ -126,7 +125,7 @@ def configure_tuning(request: Request) -> str:
     space = search_space(prepared.case, [search_of(dict(one)) for one in searches])
     _check_budget(request, space.size)
     held_out = _named_set("held_out", sets.held_out, asked)
-    return tomli_w.dumps({
+    return plain_toml({
         "jaxstage": __version__,
         "jax": jax.__version__,
         "loop": request.loop,
