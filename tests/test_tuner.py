@@ -11,6 +11,7 @@ import pytest
 import jaxstage as js
 from jaxstage.metrics import record, selected, together
 from jaxstage.studies import with_metric
+from jaxstage.studies.case import scored
 from tuning.scenarios import draw, space, study_spreads
 from tuning.tuner.cma import cma_es
 from tuning.tuner.figures import (
@@ -105,8 +106,9 @@ def test_sums_of_a_run_are_those_of_its_record():
     first = 60
     window = case().window._replace(start=first)
     own = together(
-        record, pieces((CONTOUR, FOLLOWING, CHANGE), window), smooth_max(window), growth(TICKS)
-    )
+        record, pieces((CONTOUR, FOLLOWING, CHANGE), window), scored(smooth_max, window),
+        growth(TICKS),
+    )  # fmt: skip
     run = with_metric(case(), own).simulate()
     rows, report = run.rows["record"], run.report
     error = np.asarray(rows.setpoint.position - rows.output.position)
@@ -121,7 +123,8 @@ def test_sums_of_a_run_are_those_of_its_record():
         parts = square[first:].reshape(PIECES, -1).sum(axis=1) / inside
         np.testing.assert_allclose(report["pieces"][name], parts, rtol=1e-10)
     power = np.mean(np.abs(contour[first:]) ** 16) ** (1 / 16)
-    assert float(report["smooth_max"]) == pytest.approx(power, rel=1e-10)
+    found = float(report["scored"].contour_smooth_max)
+    assert found == pytest.approx(power, rel=1e-10)
     thirds = np.sum(error**2, axis=1).reshape(3, -1).mean(axis=1)
     assert float(report["growth"]) == pytest.approx(np.sqrt(thirds[2] / thirds[1]), rel=1e-10)
 
