@@ -19,6 +19,7 @@ import pytest
 import tomli_w
 from sweeping import REQUEST, sweep_in, table, text
 
+from jaxstage.runtime import processor
 from tuning.folders import digest
 from tuning.scenarios import study_spreads
 from tuning.sweeps import replays, store
@@ -83,9 +84,25 @@ def test_a_row_is_a_run_with_units_in_its_columns(whole):
     metadata = pq.read_schema(files(whole)[0]).metadata
     assert metadata[b"configuration"].decode() == text()
     assert metadata[b"configuration_sha256"].decode() == digest(text())
-    for key in (b"jax", b"jaxstage", b"seed", b"devices", b"processor"):
+    for key in (b"jax", b"jaxstage", b"seed", b"devices"):
         assert metadata[key]
-    assert metadata[b"processor"] != b"cpu", "its model"
+    assert metadata[b"processor"].decode() == processor()
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("told", "name"),
+    [
+        ("processor\t: 0\nmodel name\t: Some Core @ 2 GHz\nflags : a\n", "Some Core @ 2 GHz"),
+        ("processor\t: 0\nCPU part\t: 0xd0c\n", "an-architecture"),
+        ("model name\t:\n", "an-architecture"),
+    ],
+)
+def test_a_processor_without_a_model_is_named_by_its_architecture(monkeypatch, told, name):
+    monkeypatch.setattr(Path, "read_text", lambda file, encoding: told)
+    monkeypatch.setattr("platform.processor", lambda: "")
+    monkeypatch.setattr("platform.machine", lambda: "an-architecture")
+    assert processor() == name
 
 
 def test_a_row_is_what_a_single_run_gives(whole):
