@@ -17,14 +17,26 @@ from jaxstage.signals import Scenario
 
 #: parts of a scenario that settings reach
 SCENARIO_PARTS = ("plant", "load", "sensor", "drive", "start")
+#: what the settings of a motion begin with
+MOTION = "reference"
 
 
-def known_leaves(gains: Any, scenario: Scenario) -> dict[str, tuple[Quantity, Any]]:
-    """Every setting of a loop: full path -> (quantity, value)."""
+def known_leaves(
+    gains: Any, scenario: Scenario, motion: Any = ()
+) -> dict[str, tuple[Quantity, Any]]:
+    """Every setting of a loop: full path -> (quantity, value).
+
+    motion: the path. Where it is computed in the loop, its sizes are settings, ``reference.``; its
+    times follow from the timing of the case.
+    """
     found = {path: (q, v) for path, q, v in leaves(gains, "gains")}
     for name in SCENARIO_PARTS:
         found |= {path: (q, v) for path, q, v in leaves(getattr(scenario, name), name)}
-    return found
+    return found | {
+        path: (q, v)
+        for path, q, v in leaves(motion, MOTION)
+        if q.role != "signal" and q.unit == "m"
+    }
 
 
 def resolve(
@@ -71,8 +83,9 @@ def apply(
     scenario: Scenario,
     settings: Mapping[str, Any],
     other_names: tuple[str, ...] = (),
-) -> tuple[Any, Scenario, tuple[str, ...]]:
-    """Gains and scenario with settings (name -> number or nested list, SI) applied.
+    motion: Any = (),
+) -> tuple[Any, Scenario, Any, tuple[str, ...]]:
+    """Gains, scenario and motion with settings (name -> number or nested list, SI) applied.
 
     A single number fills the leaf; a list of one number per axis is spread over the rest of it.
     Returns also the full paths that were set. Raises ValueError naming a setting that is
@@ -80,12 +93,16 @@ def apply(
     """
     paths = []
     for name, value in settings.items():
-        known = known_leaves(gains, scenario)
+        known = known_leaves(gains, scenario, motion)
         path = resolve(name, known, other_names)
         filled = _fill(path, value, known[path][1])
-        gains, scenario = replaced(gains, scenario, path, filled)
+        root, *rest = path.split(".")
+        if root == MOTION:
+            motion = with_leaf(motion, rest, filled)
+        else:
+            gains, scenario = replaced(gains, scenario, path, filled)
         paths.append(path)
-    return gains, scenario, tuple(paths)
+    return gains, scenario, motion, tuple(paths)
 
 
 def replaced(gains: Any, scenario: Scenario, path: str, value: Any) -> tuple[Any, Scenario]:

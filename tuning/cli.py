@@ -180,9 +180,10 @@ def run(
         typer.Option(
             "--set",
             metavar="NAME=VALUE",
-            help="A gain, plant value or timing, in SI: gains.c1=2, plant.mass=0.0035,0.003, "
-            "nominal.mass=0.003, lap_time=1, laps=1, scored=1, dt=2e-5, substeps=2, feed=1800 "
-            "(mm/min). One value, or one per axis. Repeatable.",
+            help="A gain, plant value, size of the motion or timing, in SI: gains.c1=2, "
+            "plant.mass=0.0035,0.003, nominal.mass=0.003, reference.radius=0.01, lap_time=1, "
+            "laps=1, scored=1, dt=2e-5, substeps=2, feed=1800 (mm/min). One value, or one per "
+            "axis. Repeatable.",
         ),
     ] = None,
     gains: Annotated[Path | None, typer.Option(help="TOML file of gains.")] = None,

@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from jaxstage import __version__
 from jaxstage.files import write_text
 from jaxstage.metrics import columns
-from jaxstage.settings import SCENARIO_PARTS, to_toml
+from jaxstage.metrics.table import key as column
+from jaxstage.settings import MOTION, SCENARIO_PARTS, known_leaves, to_toml
 from jaxstage.signals import Run
 from jaxstage.studies import Case
 from jaxstage.studies.verdict import lost_because, verdict
@@ -42,6 +44,7 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
         "lap_time_s": case.window.lap * case.loop.dt,
         "laps": case.window.laps,
         "scored": case.window.scored,
+        "motion": _sizes(case),
         "verdict": verdict(case, scored, lost, lost_because(case, left)),
         "finite": left is None and broken is None,
         "left_path_at": left,
@@ -49,6 +52,16 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
         "metrics": scored,
         "metrics_whole_run": columns(run.report["whole"], case.loop.plant),
         "notes": list(notes),
+    }
+
+
+def _sizes(case: Case) -> dict[str, Any]:
+    """Sizes of a motion that is computed in the loop, by column."""
+    every = known_leaves((), case.scenario, case.path)
+    return {
+        column(path.removeprefix(f"{MOTION}."), quantity.unit): np.asarray(value, float).tolist()
+        for path, (quantity, value) in every.items()
+        if path.startswith(f"{MOTION}.")
     }
 
 
