@@ -29,6 +29,7 @@ from jaxstage.settings import (
 from jaxstage.studies.fuzzy_cmac.loops import dfcmac_gains, scenario
 from tuning import runs
 from tuning.cases import case_of, case_table
+from tuning.scenarios import uncertain_leaves
 
 GAINS = cast(dfcmac_gains())
 SCENE = jax.tree.map(
@@ -342,6 +343,7 @@ def test_the_size_of_a_motion_is_a_setting(loop, name, path):
     )
     np.testing.assert_allclose(later[:2] / first[:2], 0.03 / old, rtol=1e-12)
     table = case_table(case)
+    assert path in uncertain_leaves(case), "a spread may name it"
     assert table["values"][path] == 0.03 and case_of(table, {}).path == case.path
     assert case.window == before.window
     jax.tree.map(np.testing.assert_array_equal, case.gains, before.gains)

@@ -6,7 +6,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.settings import known_leaves, with_leaf
+from jaxstage.fields import leaves
+from jaxstage.settings import with_leaf
 from jaxstage.studies import Case, Timing, find
 from jaxstage.studies.own import VARIABLE, file_digest
 from tuning.blocks import with_blocks, with_max_delay
@@ -15,8 +16,8 @@ from tuning.scenarios import uncertain_leaves
 
 def case_table(case: Case) -> dict[str, Any]:
     """A case as plain data: loop, law, timing, and every value of gains, scenario and motion."""
-    every = known_leaves(case.gains, case.scenario, case.path) | uncertain_leaves(case)
-    known = {path: value for path, (_, value) in every.items()}
+    known = {path: value for path, (_, value) in uncertain_leaves(case).items()}
+    known |= {path: value for path, _, value in leaves(case.gains, "gains")}
     own = file_digest(case.name)
     return {
         "name": case.name,
