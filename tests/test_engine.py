@@ -100,7 +100,7 @@ def test_long_arrays_are_loops_in_the_kernel():
     close(expected, found, 1e-11)
     assert all(np.any(np.asarray(x) != 0) for x in jax.tree.leaves(expected))
     one = program(c, metric=metric)
-    text = kernel(one, "forward", shared_by_all(one)).text
+    text = kernel(one, "forward", shared_by_all(one)).text(1)
     assert text.count("for (int k = 0; k < 80; k++)") >= 6
 
 
@@ -378,7 +378,7 @@ def test_without_a_compiler_everything_works(monkeypatch):
 
 def test_a_kernel_is_built_once_and_a_damaged_one_again():
     one = program(case("cascade-circle"))
-    text = kernel(one, "forward", shared_by_all(one)).text
+    text = kernel(one, "forward", shared_by_all(one)).text(1)
     text += "// another file\n"
     file = building.library_file(text)
     file.write_bytes(b"not a library")

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array, lax
 
 from jaxstage.engine.build import build
-from jaxstage.engine.kernels import Kernel
+from jaxstage.engine.kernels import TOGETHER, Kernel
 from jaxstage.engine.parts import CONSTANT, FIXED, TICK, run
 from jaxstage.engine.program import Program, row_structure
 
@@ -39,14 +39,20 @@ class Call(NamedTuple):
 
     @property
     def lanes(self) -> int:
-        """Runs, padded to whole vectors."""
-        return self.runs + -self.runs % WIDEST[self.program.single]
+        """Runs, padded to whole vectors; many, to vectors that go through time together."""
+        return vectors(self.program, self.runs) * WIDEST[self.program.single]
 
     @property
     def piece(self) -> int:
         """Ticks whose numbers are kept at once."""
         slots = self.kernel.layout.groups["r"]
         return max(KEPT // (len(slots.real) + len(slots.whole) + 1), 256)
+
+
+def vectors(program: Program, runs: int) -> int:
+    """Vectors of the widest processor that hold the runs."""
+    count = -(-runs // WIDEST[program.single])
+    return count if count < TOGETHER else count + -count % TOGETHER
 
 
 def call(
@@ -195,7 +201,7 @@ def invoke(
     call: Call, results: list[Any], first: Any, count: int, state: Any, more: tuple[Any, ...] = ()
 ) -> list[Array]:
     """The kernel over ``count`` ticks. results: shapes and types; more: derivatives."""
-    target = build(call.kernel.text).target
+    target = build(call.kernel.text(vectors(call.program, call.runs))).target
     shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in results]
     numbers = of_ticks(call, first, count)
     arguments = (*parameters(call), *shared(call), *numbers, *state, *tables(call), *more)

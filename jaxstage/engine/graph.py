@@ -81,6 +81,13 @@ class Graph(NamedTuple):
         low, high, nan = value_range(name, kind, args, self.largest)
         return self._found(name, kind, args, None, (low, high), nan)
 
+    def rebuilt(self, node: Node, args: tuple[Node, ...]) -> Node:
+        """A node with other arguments."""
+        if node.value is None and node.op != "sum":
+            return self.op(node.op, *args, kind=node.kind)
+        bounds = node.low, node.high
+        return self._found(node.op, node.kind, args, node.value, bounds, node.nan)
+
     def _found(
         self, op: str, kind: str, args: tuple[Node, ...], value: Any, bounds: Any, nan: bool
     ) -> Node:

@@ -9,7 +9,8 @@ the cotangents G of the carry. The lanes are a multiple of a vector.
 import functools
 from typing import Any, NamedTuple
 
-from jaxstage.engine.lowering import Layout, Lowered, flat, layout, lower
+from jaxstage.engine.assuming import assuming
+from jaxstage.engine.lowering import Layout, Lowered, cells, flat, layout, lower
 from jaxstage.engine.node import Node, kind_of, ordered
 from jaxstage.engine.parts import RUN
 from jaxstage.engine.program import (
@@ -19,20 +20,39 @@ from jaxstage.engine.program import (
     row_structure,
     tangent_jaxpr,
 )
-from jaxstage.engine.source import function, handler, heading, source_of
-from jaxstage.engine.stores import Store
+from jaxstage.engine.source import (
+    Function,
+    Source,
+    function_of,
+    handler,
+    heading,
+    source_of,
+    text_of,
+)
+from jaxstage.engine.stores import COPY, Store, guarded
+
+#: vectors of runs that go through time together, where there are so many: while one waits for a
+#: result, the others compute
+TOGETHER = 4
+#: operations of a tick up to which they do: more keep a processor busy alone, and compile long
+INTERLEAVED = 1000
 
 
 class Kernel(NamedTuple):
-    """A kernel as text, and what it expects. rows: row leaves that it stores: whether among the
-    reals, and the first slot. counts: of the slots of a row. nodes: operations of a tick."""
+    """A kernel as texts, and what it expects. texts: by the number of vectors that go through time
+    together; rows: row leaves that it stores: whether among the reals, and the first slot. counts:
+    of the slots of a row. nodes: operations of a tick."""
 
-    text: str
+    texts: dict[int, str]
     lowered: Lowered
     layout: Layout
     rows: dict[int, tuple[bool, int]]
     counts: dict[str, int]
     nodes: int
+
+    def text(self, vectors: int) -> str:
+        """The text for a whole batch."""
+        return self.texts[max(n for n in self.texts if vectors % n == 0)]
 
 
 @functools.cache
@@ -44,29 +64,39 @@ def kernel(
     return _MAKERS[what](program, own, moving)
 
 
+def _texts(
+    source: Source, functions: dict[str, Function], nodes: int, head: str, body: str
+) -> dict[int, str]:
+    """The texts of a kernel of so many operations a tick. body: of the handler."""
+
+    def text(together: int) -> str:
+        made = [text_of(source, name, f, together) for name, f in functions.items()]
+        return "".join((heading(source, together), *made, handler(source, head, body)))
+
+    return {n: text(n) for n in ({1, TOGETHER} if nodes <= INTERLEAVED else {1})}
+
+
 def _forward(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -> Kernel:
     low = lower(program, forward_jaxpr(program), own, ())
     where = layout(program, low, ())
     stores = _carried(low, where, low.results)
     rows, counts = _rows(program, low, stores)
-    text = source_of(program, low, where, stores)
-    body = f"""{text.borders}
+    source = source_of(program, low, where, stores)
+    body = f"""{source.borders}
   for (int64_t b = 0; b < NB; b += TOGETHER * LANES) {{
     vec h[TOGETHER][NH], c[TOGETHER][NC];
     ints hi[TOGETHER][NHI], ci[TOGETHER][NCI];
-    const int count = std::min<int64_t>(TOGETHER, (NB - b) / LANES);
-    for (int u = 0; u < count; u++) begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
+    for (int u = 0; u < TOGETHER; u++) begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
     for (int64_t t = 0; t < N; t++)
-      for (int u = 0; u < count; u++)
-        step(c[u], ci[u], 0, 0, h[u], hi[u], R + t * NR, RI + t * NRI,
-             rows + t * {counts["row"]} * NB + b + u * LANES,
-             rowsi + t * {counts["rowi"]} * NB + b + u * LANES, NB{text.passed});
-    for (int u = 0; u < count; u++) end(b + u * LANES, c[u], ci[u]);
+      step(c, ci, 0, 0, h, hi, R + t * NR, RI + t * NRI, rows + t * {counts["row"]} * NB + b,
+           rowsi + t * {counts["rowi"]} * NB + b, NB{source.passed});
+    for (int u = 0; u < TOGETHER; u++) end(b + u * LANES, c[u], ci[u]);
   }}"""
     head = "real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
     head += "  real* rows = out<real>(frame, 2); int32_t* rowsi = out<int32_t>(frame, 3);"
-    source = function(text, "step", stores) + handler(text, head, body)
-    return Kernel(heading(text) + source, low, where, rows, counts, _work(stores))
+    nodes = _work(stores)
+    texts = _texts(source, {"step": function_of(source, stores)}, nodes, head, body)
+    return Kernel(texts, low, where, rows, counts, nodes)
 
 
 def _tangent(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -> Kernel:
@@ -76,20 +106,18 @@ def _tangent(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
     count = len(program.carry)
     stores = _carried(low, where, low.results[:count])
     stores += _derived(program, where, low.results[count:], "d", "d")
-    text = source_of(program, low, where, stores)
-    body = f"""{text.borders}
+    source = source_of(program, low, where, stores)
+    body = f"""{source.borders}
   for (int64_t b = 0; b < NB; b += TOGETHER * LANES) {{
     vec h[TOGETHER][NH], c[TOGETHER][NC], d[TOGETHER][ND];
     ints hi[TOGETHER][NHI], ci[TOGETHER][NCI];
-    const int count = std::min<int64_t>(TOGETHER, (NB - b) / LANES);
-    for (int u = 0; u < count; u++) {{
+    for (int u = 0; u < TOGETHER; u++) {{
       begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
       for (int i = 0; i < ND; i++) d[u][i] = load(D + i * NB + b + u * LANES);
     }}
     for (int64_t t = 0; t < N; t++)
-      for (int u = 0; u < count; u++)
-        step(c[u], ci[u], d[u], 0, h[u], hi[u], R + t * NR, RI + t * NRI, 0, 0, NB{text.passed});
-    for (int u = 0; u < count; u++) {{
+      step(c, ci, d, 0, h, hi, R + t * NR, RI + t * NRI, 0, 0, NB{source.passed});
+    for (int u = 0; u < TOGETHER; u++) {{
       end(b + u * LANES, c[u], ci[u]);
       for (int i = 0; i < ND; i++) store(D1 + i * NB + b + u * LANES, d[u][i]);
     }}
@@ -98,8 +126,9 @@ def _tangent(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
     head = f"const real *Q = in<real>(frame, {first}), *D = in<real>(frame, {first + 1});\n"
     head += "  real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
     head += "  real* D1 = out<real>(frame, 2);"
-    source = function(text, "step", stores) + handler(text, head, body)
-    return Kernel(heading(text) + source, low, where, {}, {}, _work(stores))
+    nodes = _work(stores)
+    texts = _texts(source, {"step": function_of(source, stores)}, nodes, head, body)
+    return Kernel(texts, low, where, {}, {}, nodes)
 
 
 def _pullback(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -> Kernel:
@@ -110,23 +139,34 @@ def _pullback(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) 
     step = _carried(low, where, low.results[:count])
     results = low.results[count:]
     back = [
-        Store("a", where.moving["a", i] + k, node, add=True)
+        Store(f"a{COPY}", where.moving["a", i] + k, node, add=True)
         for i, array in zip(moving, results[: len(moving)], strict=True)
         for k, node in enumerate(flat(array))
         if not (node.op == "const" and node.value == 0)
     ]
     back += _derived(program, where, results[len(moving) :], "g", "g")
-    text = source_of(program, low, where, step + back)
-    rounds = _REVERSE.format(
-        borders=text.borders, passed=text.passed, call="R + k * NR, RI + k * NRI"
+    condition = _guard(step, where)
+    usual = None if condition is None else assuming(low.graph, back, condition)
+    source = source_of(program, low, where, [*step, *back, *(usual or [])])
+    body = _REVERSE.format(
+        borders=source.borders, passed=source.passed, call="R + k * NR, RI + k * NRI"
     )
     first = 8 + len(low.tables)
     head = f"const real* G = in<real>(frame, {first});\n"
     head += "  real *A1 = out<real>(frame, 0), *G1 = out<real>(frame, 1), *C1 = 0;\n"
     head += "  int32_t* CI1 = 0;"
-    source = function(text, "step", step) + function(text, "back", back)
-    source += handler(text, head, rounds)
-    return Kernel(heading(text) + source, low, where, {}, {}, _work(step + back))
+    functions = {
+        "step": function_of(source, step),
+        "back": function_of(source, back, condition, usual),
+    }
+    nodes = _work(step + back)
+    return Kernel(_texts(source, functions, nodes, head, body), low, where, {}, {}, nodes)
+
+
+def _guard(stores: list[Store], where: Layout) -> Node | None:
+    """The condition under which most cells change, or None."""
+    groups, _ = guarded(stores, cells(where))
+    return max(groups, key=len)[0].where if groups else None
 
 
 #: forward once, keeping every L-th carry; then stretch by stretch forward again and back
@@ -137,15 +177,17 @@ _REVERSE = """
   if (!kept) return failed(frame, "no memory for the checkpoints of a gradient");
   State* stretch = kept + M;
   {borders}
-  for (int64_t b = 0; b < NB; b += LANES) {{
-    vec h[NH], c[NC], g[ND], a[NA];
-    ints hi[NHI], ci[NCI];
-    begin(b, h, hi, c, ci);
-    for (int i = 0; i < ND; i++) g[i] = load(G + i * NB + b);
-    for (int i = 0; i < NA; i++) a[i] = all(0);
+  for (int64_t b = 0; b < NB; b += TOGETHER * LANES) {{
+    vec h[TOGETHER][NH], c[TOGETHER][NC], g[TOGETHER][ND], a[TOGETHER][NA];
+    ints hi[TOGETHER][NHI], ci[TOGETHER][NCI];
+    for (int u = 0; u < TOGETHER; u++) {{
+      begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
+      for (int i = 0; i < ND; i++) g[u][i] = load(G + i * NB + b + u * LANES);
+      for (int i = 0; i < NA; i++) a[u][i] = all(0);
+    }}
     for (int64_t k = 0; k < N; k++) {{
       if (k % L == 0) keep(kept[k / L], c, ci);
-      if (k < (M - 1) * L) step(c, ci, 0, 0, h, hi, R + k * NR, RI + k * NRI, 0, 0, NB{passed});
+      if (k < (M - 1) * L) step(c, ci, 0, 0, h, hi, {call}, 0, 0, NB{passed});
       else break;
     }}
     for (int64_t q = M - 1; q >= 0; q--) {{
@@ -160,8 +202,10 @@ _REVERSE = """
         back(s.c, s.ci, g, a, h, hi, {call}, 0, 0, NB{passed});
       }}
     }}
-    for (int i = 0; i < NA; i++) store(A1 + i * NB + b, a[i]);
-    for (int i = 0; i < ND; i++) store(G1 + i * NB + b, g[i]);
+    for (int u = 0; u < TOGETHER; u++) {{
+      for (int i = 0; i < NA; i++) store(A1 + i * NB + b + u * LANES, a[u][i]);
+      for (int i = 0; i < ND; i++) store(G1 + i * NB + b + u * LANES, g[u][i]);
+    }}
   }}
   std::free(kept);"""
 
@@ -169,7 +213,7 @@ _REVERSE = """
 def _carried(low: Lowered, where: Layout, results: list[Any]) -> list[Store]:
     stores = []
     for number, (real, first) in where.carry.items():
-        name = "c" if real else "ci"
+        name = f"{'c' if real else 'ci'}{COPY}"
         stores += [Store(name, first + k, n) for k, n in enumerate(flat(results[number]))]
     return stores
 
@@ -178,7 +222,7 @@ def _derived(
     program: Program, where: Layout, results: list[Any], name: str, group: str
 ) -> list[Store]:
     return [
-        Store(name, where.moving[group, i] + k, node)
+        Store(f"{name}{COPY}", where.moving[group, i] + k, node)
         for i, array in zip(program.real_carry, results, strict=True)
         for k, node in enumerate(flat(array))
     ]
@@ -198,7 +242,7 @@ def _rows(
         name = "row" if real else "rowi"
         places[number] = real, counts[name]
         nodes = flat(low.results[position])
-        stores += [Store(f"*{name}", counts[name] + k, n) for k, n in enumerate(nodes)]
+        stores += [Store(f"*{name}{COPY}", counts[name] + k, n) for k, n in enumerate(nodes)]
         counts[name] += len(nodes)
     return places, counts
 

@@ -97,7 +97,7 @@ def describe(program: Program, what: str) -> Report:
     try:
         made = kernel(program, what, own, moving)
         found = time.perf_counter() - begin
-        built = build(made.text)
+        built = build(made.text(1))
     except NotImplementedError as reason:
         return Report(what, str(reason))
     return Report(what, None, made.nodes, built.bytes, built.seconds, found, built.cached)

@@ -11,7 +11,7 @@ from jaxstage.engine.program import Program
 from jaxstage.engine.scalar import evaluate, lifted
 from jaxstage.engine.spelling import constant
 from jaxstage.engine.statements import Known, write
-from jaxstage.engine.stores import Cells, Store
+from jaxstage.engine.stores import COPY, Cells, Store
 from jaxstage.engine.table import WRITTEN_OUT, Table
 
 #: shared arrays of more elements stay in memory
@@ -182,9 +182,10 @@ def cells(where: Layout) -> Cells:
         (group, number), element = node.value
         whole = node.kind != "f"
         if group == "c":
-            return ("ci[{}]" if whole else "c[{}]"), where.carry[number][1] + element
+            name = "ci" if whole else "c"
+            return f"{name}{COPY}[{{}}]", where.carry[number][1] + element
         if group in "dg":
-            return f"{group}[{{}}]", where.moving[group, number] + element
+            return f"{group}{COPY}[{{}}]", where.moving[group, number] + element
         if group == "q":
             return "load(Q+{}*NB+b)", where.moving[group, number] + element
         return _READ[group, whole], where.groups[group].slot(node)
@@ -201,9 +202,9 @@ def cells(where: Layout) -> Cells:
         if group == "t":
             return f"T{number}", 0
         if group == "c" and where.carry[number][0]:
-            return "c", where.carry[number][1]
+            return f"c{COPY}", where.carry[number][1]
         if group in "dg":
-            return group, where.moving[group, number]
+            return f"{group}{COPY}", where.moving[group, number]
         raise NotImplementedError("an index into parameters that each run has for itself")
 
     return Cells(read, array, slot)
@@ -290,8 +291,9 @@ def hoist(low: Lowered, stores: list[Store], where: Cells) -> Hoisted:
         if node.op == "const" or node.id in names:
             continue
         real = node.kind == "f"
-        made.append(Store("h" if real else "hi", counts[real], node))
-        text = f"{'h' if real else 'hi'}[{counts[real]}]"
+        name = "h" if real else "hi"
+        made.append(Store(name, counts[real], node))
+        text = f"{name}{COPY}[{counts[real]}]"
         names[node.id] = f"as_mask({text})" if node.kind == "b" else text
         counts[real] += 1
     lines = write(made, where, Known({}, {}), low.single, "p")

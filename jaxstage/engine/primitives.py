@@ -42,12 +42,12 @@ def owned(program: Program, batched: tuple[bool, ...]) -> tuple[bool, ...]:
 
 @functools.cache
 def ready(
-    program: Program, what: str, own: tuple[bool, ...], moving: tuple[int, ...] = ()
+    program: Program, what: str, own: tuple[bool, ...], vectors: int, moving: tuple[int, ...] = ()
 ) -> Kernel | str:
-    """A kernel that is built, or the reason why there is none."""
+    """A kernel that is built for that many vectors of runs, or the reason why there is none."""
     try:
         made = kernel(program, what, own, moving)
-        build(made.text)
+        build(made.text(vectors))
     except NotImplementedError as reason:
         return str(reason)
     return made
@@ -64,7 +64,7 @@ def _reference(*args: Array, program: Program, batched: Any, size: int, ticks: i
 
 
 def _compiled(*args: Array, program: Program, batched: Any, size: int, ticks: int) -> Any:
-    made = ready(program, "forward", owned(program, batched))
+    made = ready(program, "forward", owned(program, batched), calls.vectors(program, size))
     if isinstance(made, str):
         return _reference(*args, program=program, batched=batched, size=size, ticks=ticks)
     return calls.forward(program, made, batched, size, ticks, args)
@@ -187,7 +187,8 @@ def _tangent_reference(
 def _tangent_compiled(
     *args: Array, program: Program, batched: Any, size: int, ticks: int, moving: Any
 ) -> Any:
-    made = ready(program, "tangent", owned(program, batched), moving)
+    own, vectors = owned(program, batched), calls.vectors(program, size)
+    made = ready(program, "tangent", own, vectors, moving)
     if isinstance(made, str):
         return _tangent_reference(
             *args, program=program, batched=batched, size=size, ticks=ticks, moving=moving
@@ -237,8 +238,9 @@ def _pullback_reference(
 def _pullback_compiled(
     *args: Array, program: Program, batched: Any, size: int, ticks: int, moving: Any
 ) -> Any:
-    own = owned(program, batched)
-    made, onward = ready(program, "pullback", own, moving), ready(program, "forward", own)
+    own, vectors = owned(program, batched), calls.vectors(program, size)
+    made = ready(program, "pullback", own, vectors, moving)
+    onward = ready(program, "forward", own, vectors)
     if isinstance(made, str) or isinstance(onward, str):
         return _pullback_reference(
             *args, program=program, batched=batched, size=size, ticks=ticks, moving=moving

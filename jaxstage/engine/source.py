@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 from jaxstage.engine.lowering import Hoisted, Layout, Lowered, cells, hoist
+from jaxstage.engine.node import Node
 from jaxstage.engine.program import Program
-from jaxstage.engine.statements import write
-from jaxstage.engine.stores import Store
+from jaxstage.engine.statements import computed, copies, write
+from jaxstage.engine.stores import COPY, Store
 
 
 class Source(NamedTuple):
@@ -30,7 +31,7 @@ def source_of(program: Program, low: Lowered, where: Layout, stores: list[Store]
         "for (int i = 0; i < NCI; i++) ci[i] = load_ints(CI + i * NB + b);",
     ]
     borders = f"""auto begin = [&](int64_t b, vec* h, ints* hi, vec* c, ints* ci) {{
-    {_lines(begin)}
+    {_joined(begin)}
   }};
   auto end = [&](int64_t b, const vec* c, const ints* ci) {{
     for (int i = 0; i < NC; i++) store(C1 + i * NB + b, c[i]);
@@ -38,10 +39,6 @@ def source_of(program: Program, low: Lowered, where: Layout, stores: list[Store]
   }};"""
     passed = "".join(f", T{i}" for i in range(len(low.tables)))
     return Source(program, low, where, hoisted, borders, passed)
-
-
-def _lines(statements: list[str]) -> str:
-    return "\n    ".join(statements)
 
 
 def _tables(source: Source) -> list[str]:
@@ -53,24 +50,80 @@ def _tables(source: Source) -> list[str]:
     return [kinds.get(i, "real") for i in range(len(source.low.tables))]
 
 
-def function(source: Source, name: str, stores: list[Store]) -> str:
-    """A function that computes the stores in one tick."""
-    lines = write(stores, cells(source.where), source.hoisted.known, source.low.single)
+class Usual(NamedTuple):
+    """What is left to do of a tick where a condition holds in every lane, as nearly always.
+
+    head: computes the condition; name: of it; then: the rest.
+    """
+
+    head: list[str]
+    name: str
+    then: list[str]
+
+
+class Function(NamedTuple):
+    """What computes stores in one tick; and, if there is such a thing, in a usual one."""
+
+    statements: list[str]
+    usual: Usual | None
+
+
+def function_of(
+    source: Source, stores: list[Store], condition: Node | None = None,
+    usual: list[Store] | None = None,
+) -> Function:  # fmt: skip
+    """A function that makes the stores; where the condition holds, those of ``usual``."""
+    where, known, single = cells(source.where), source.hoisted.known, source.low.single
+    plain = write(stores, where, known, single)
+    if condition is None or usual is None:
+        return Function(plain, None)
+    head, more = computed([condition], where, known, single)
+    return Function(plain, Usual(head, more.names[condition.id], write(usual, where, more, single)))
+
+
+def text_of(source: Source, name: str, function: Function, together: int) -> str:
+    """A C++ function for several vectors."""
     tables = "".join(f", const {kind}* T{i}" for i, kind in enumerate(_tables(source)))
-    body = "\n  ".join(lines)
+    given = f"""(
+    vec (*c)[NC], ints (*ci)[NCI], vec (*d)[ND], vec (*a)[NA], const vec (*h)[NH],
+    const ints (*hi)[NHI], const real* __restrict r, const int32_t* __restrict ri, real* row,
+    int32_t* rowi, int64_t NB{tables})"""
+    inline = "static inline __attribute__((always_inline)) void"
+    plain = _body(function.statements, together)
+    if function.usual is None:
+        return f"\n{inline} {name}{given} {{{plain}\n}}\n"
+    head, condition, then = function.usual
+    holds = " && ".join(copies([f"everywhere({condition})"], together))
+    passed = f"c, ci, d, a, h, hi, r, ri, row, rowi, NB{source.passed}"
     return f"""
-static inline __attribute__((always_inline)) void {name}(
-    vec* __restrict c, ints* __restrict ci, vec* __restrict d, vec* __restrict a,
-    const vec* __restrict h, const ints* __restrict hi, const real* __restrict r,
-    const int32_t* __restrict ri, real* __restrict row, int32_t* __restrict rowi,
-    int64_t NB{tables}) {{
-  vec* __restrict g = d;
-  {body}
+static __attribute__((noinline, cold)) void {name}_at_worst{given} {{{plain}
+}}
+{inline} {name}{given} {{{_body(head, together)}
+  if (!__builtin_expect({holds}, 1)) return {name}_at_worst({passed});
+  {_joined(copies(then, together))}
 }}
 """
 
 
-def heading(source: Source) -> str:
+def _body(statements: list[str], together: int) -> str:
+    return "\n  " + _joined(copies([*_ARRAYS, *statements], together))
+
+
+def _joined(statements: list[str]) -> str:
+    return "\n  ".join(statements)
+
+
+#: the arrays of a vector; cotangents stand where tangents do
+_ARRAYS = (
+    f"vec* __restrict c{COPY} = c[{COPY}]; ints* __restrict ci{COPY} = ci[{COPY}];",
+    f"vec* __restrict d{COPY} = d[{COPY}]; vec* __restrict g{COPY} = d[{COPY}];",
+    f"vec* __restrict a{COPY} = a[{COPY}];",
+    f"const vec* __restrict h{COPY} = h[{COPY}]; const ints* __restrict hi{COPY} = hi[{COPY}];",
+    f"real* row{COPY} = row + {COPY} * LANES; int32_t* rowi{COPY} = rowi + {COPY} * LANES;",
+)
+
+
+def heading(source: Source, together: int) -> str:
     """Sizes; to be made after all functions, which find out what they read."""
     groups = source.where.groups
     sizes = {
@@ -85,14 +138,13 @@ def heading(source: Source) -> str:
 #include "simd.h"
 #include "xla/ffi/api/c_api.h"
 {chr(10).join(lines)}
-struct State {{ vec c[NC]; ints ci[NCI]; }};
-// vectors of runs that go through time together: while one waits for a result others compute
-constexpr int TOGETHER = std::max(1, std::min(4, 256 / (NC + NCI + NH + NHI + ND + 1)));
-INLINE void keep(State& s, const vec* c, const ints* ci) {{
+constexpr int TOGETHER = {together};  // vectors of runs that go through time together
+struct State {{ vec c[TOGETHER][NC]; ints ci[TOGETHER][NCI]; }};
+INLINE void keep(State& s, const vec (*c)[NC], const ints (*ci)[NCI]) {{
   memcpy(s.c, c, sizeof s.c);
   memcpy(s.ci, ci, sizeof s.ci);
 }}
-INLINE void take(const State& s, vec* c, ints* ci) {{
+INLINE void take(const State& s, vec (*c)[NC], ints (*ci)[NCI]) {{
   memcpy(c, s.c, sizeof s.c);
   memcpy(ci, s.ci, sizeof s.ci);
 }}

@@ -1,4 +1,8 @@
-"""A graph as C++ statements on vectors of runs."""
+"""A graph as C++ statements on vectors of runs.
+
+What a vector has for itself is named with `COPY`, which stands for its number among the vectors
+that go through time together.
+"""
 
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
@@ -7,6 +11,7 @@ from jaxstage.engine.node import Node, ordered
 from jaxstage.engine.rolling import Kinds, Roll, kinds, rolls
 from jaxstage.engine.spelling import constant, expression
 from jaxstage.engine.stores import (
+    COPY,
     Cells,
     Put,
     Rolled,
@@ -23,7 +28,8 @@ TYPES = {"f": "vec", "i": "ints", "u": "ints", "l": "ints", "b": "mask"}
 
 
 class Known(NamedTuple):
-    """Names of nodes that need no computing, and of the reciprocals that some divisions use."""
+    """Names of nodes that need no computing, by their numbers (of the place that an index means by
+    ``~number``), and of the reciprocals that some divisions use."""
 
     names: dict[int, str]
     reciprocals: dict[int, str]
@@ -72,19 +78,21 @@ class _Writing(NamedTuple):
         return expression(node, [self.name(a) for a in node.args], self.single)
 
 
+def copies(statements: list[str], count: int) -> list[str]:
+    """The statements for several vectors, one vector after the other in each: while one waits for a
+    result, the others compute."""
+    return [s.replace(COPY, str(u)) for s in statements for u in range(count)]
+
+
 def write(
-    stores: Iterable[Store], cells: Cells, known: Known, single: bool, prefix: str = "t"
+    stores: Iterable[Store], cells: Cells, known: Known, single: bool, prefix: str = f"t{COPY}_"
 ) -> list[str]:
-    """The statements that compute and store."""
+    """The statements that compute and store, each whole."""
     stores = list(stores)
-    nodes = ordered([n for s in stores for n in s.needs])
-    w = _Writing(cells, known, single, prefix, dict(known.names), kinds(nodes, known.names), {})
+    w = _writing(ordered([n for s in stores for n in s.needs]), cells, known, single, prefix)
     loops: list[Rolled] = []
     if cells.slot is not None:
         loops, stores = rolled(stores, w.kinds, cells)
-        for node in nodes:
-            if node.op in GATHERED and node.id not in known.names:
-                w.gathered[node.id] = rolls([*node.args], [0] * len(node.args), w.kinds, cells.slot)
     puts, plain = indexed(stores, cells)
     several, plain = guarded(plain, cells)
     roots = [n for s in [*plain, *puts] for n in s.needs]
@@ -97,16 +105,34 @@ def write(
         own = [s for group in several for s in group if s.where is where]
         never = [s for s in plain if excluded(s, where, cells)]
         plain = [s for s in plain if s not in never]
-        lines += _guarded_stores(
+        lines.append(_guarded_stores(
             w, where, own, [p for p in placed if p[0].where is where], never,
             [loop for loop in loops if loop.store.where is where],
-        )  # fmt: skip
+        ))  # fmt: skip
         placed = [p for p in placed if p[0].where is not where]
     for put, place in placed:
         where = "every(true)" if put.where is None else w.name(put.where)
         lines.append(f"put({put.array}+{put.slot}, {place}, {where}, {w.name(put.value)});")
-    lines += [line for x in loops if x.store.where is None for line in _rolled(w, x, None)]
+    lines += [_rolled(w, x, None) for x in loops if x.store.where is None]
     return [*lines, *(_stored(s, w.name(s.node)) for s in plain)]
+
+
+def computed(
+    nodes: list[Node], cells: Cells, known: Known, single: bool
+) -> tuple[list[str], Known]:
+    """The statements that compute nodes, and what is known after them."""
+    w = _writing(ordered(nodes), cells, known, single, f"t{COPY}_")
+    lines, _ = _computed(w, ordered(nodes, w.reads, known.names))
+    return lines, known._replace(names=w.names)
+
+
+def _writing(nodes: list[Node], cells: Cells, known: Known, single: bool, prefix: str) -> _Writing:
+    w = _Writing(cells, known, single, prefix, dict(known.names), kinds(nodes, known.names), {})
+    if cells.slot is not None:
+        for node in nodes:
+            if node.op in GATHERED and node.id not in known.names:
+                w.gathered[node.id] = rolls([*node.args], [0] * len(node.args), w.kinds, cells.slot)
+    return w
 
 
 def _conditions(several: list[list[Store]], loops: list[Rolled]) -> list[Node]:
@@ -121,15 +147,14 @@ def _computed(w: _Writing, nodes: list[Node]) -> tuple[list[str], Callable[[Node
         if node.op == "load":
             loads.setdefault(node.args[0].id, []).append(node)
     lines: list[str] = []
-    places: set[int] = set()
 
     def at(index: Node) -> str:
         if index.op == "const":
             return ""
-        if index.id not in places:
-            places.add(index.id)
-            lines.append(f"const Place at{w.prefix}{index.id} = place({w.name(index)});")
-        return f"at{w.prefix}{index.id}"
+        if ~index.id not in w.names:
+            w.names[~index.id] = f"at{w.prefix}{index.id}"
+            lines.append(f"const Place {w.names[~index.id]} = place({w.name(index)});")
+        return w.names[~index.id]
 
     for node in nodes:
         if node.op == "const" or node.id in w.names:
@@ -138,7 +163,7 @@ def _computed(w: _Writing, nodes: list[Node]) -> tuple[list[str], Callable[[Node
         for own in same_index:
             w.names[own.id] = f"{w.prefix}{own.id}"
             if own.op == "loop":
-                lines += loop_lines(own, nodes, w.names, w.cells, w.known, w.single, w.prefix)
+                lines.append(loop_text(own, nodes, w.names, w.cells, w.known, w.single, w.prefix))
                 continue
             if own.op == "after":
                 text = _after(own, w.prefix)
@@ -184,12 +209,16 @@ def _gathered(w: _Writing, node: Node) -> tuple[list[str], str]:
         for loop in loops:
             own, text = _round(w, loop)
             added = f"{parts}[k & 3] = {parts}[k & 3] + {term.format(text)};"
-            lines += [f"for (int k = 0; k < {len(loop.members)}; k++) {{", *own, added, "}"]
+            lines.append(_block(f"for (int k = 0; k < {len(loop.members)}; k++)", [*own, added]))
         total = f"({parts}[0] + {parts}[1]) + ({parts}[2] + {parts}[3])"
     return lines, total if node.op == "sum" else f"finite({total})"
 
 
-def _rolled(w: _Writing, loop: Rolled, where: str | None) -> list[str]:
+def _block(head: str, statements: list[str]) -> str:
+    return "\n  ".join([head + " {", *statements, "}"])
+
+
+def _rolled(w: _Writing, loop: Rolled, where: str | None) -> str:
     """A loop of stores; only ``where``, if that is given."""
     store, roll = loop.store, loop.roll
     own, text = _round(w, roll)
@@ -197,7 +226,7 @@ def _rolled(w: _Writing, loop: Rolled, where: str | None) -> list[str]:
     if where is not None:
         text = f"pick({where}, {text}, {cell})"
     put = f"{cell} {'+=' if store.add else '='} {text};"
-    return [f"for (int k = 0; k < {len(roll.members)}; k++) {{", *own, put, "}"]
+    return _block(f"for (int k = 0; k < {len(roll.members)}; k++)", [*own, put])
 
 
 def _array_of(node: Node, name: str, prefix: str, number: int) -> str:
@@ -215,10 +244,10 @@ def _truth(node: Node, text: str) -> str:
     return f"as_ints({text})" if node.kind == "b" else text
 
 
-def loop_lines(
+def loop_text(
     loop: Node, nodes: list[Node], names: dict[int, str], cells: Cells, known: Known, single: bool,
     prefix: str,
-) -> list[str]:  # fmt: skip
+) -> str:  # fmt: skip
     """A loop inside a tick: its arrays, and one round of it in a C loop."""
     inner, number = loop.value, loop.value.number
     used = sorted(_rows_used(loop, nodes))
@@ -268,7 +297,7 @@ def loop_lines(
     round_of = write(
         stores, Cells(read, cells.array), Known(dict(names), known.reciprocals), single, prefix
     )
-    return [*lines, f"for ({steps}) {{", *round_of, "}"]
+    return "\n  ".join([*lines, _block(f"for ({steps})", round_of)])
 
 
 def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
@@ -285,7 +314,7 @@ def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
 def _guarded_stores(
     w: _Writing, condition: Node, stores: list[Store], puts: list[tuple[Put, str]],
     never: list[Store], loops: list[Rolled],
-) -> list[str]:  # fmt: skip
+) -> str:  # fmt: skip
     """Where the condition holds in every lane, as nearly always, there is nothing to select.
 
     never: stores that change nothing where it holds.
@@ -293,14 +322,15 @@ def _guarded_stores(
     where, name = w.name(condition), w.name
     free = [f"{s.array}[{s.slot}] = {name(s.node)};" for s in stores]
     free += [f"put({p.array}+{p.slot}, {at}, every(true), {name(p.value)});" for p, at in puts]
-    free += [line for loop in loops for line in _rolled(w, loop, None)]
+    free += [_rolled(w, loop, None) for loop in loops]
     held = [
         f"{s.array}[{s.slot}] = pick({where}, {name(s.node)}, {s.array}[{s.slot}]);" for s in stores
     ]
     held += [f"put({p.array}+{p.slot}, {at}, {where}, {name(p.value)});" for p, at in puts]
-    held += [line for loop in loops for line in _rolled(w, loop, where)]
+    held += [_rolled(w, loop, where) for loop in loops]
     held += [_stored(s, name(s.node)) for s in never]
-    return [f"if (__builtin_expect(everywhere({where}), 1)) {{", *free, "} else {", *held, "}"]
+    head = f"if (__builtin_expect(everywhere({where}), 1))"
+    return f"{_block(head, free)} {_block('else', held)}"
 
 
 def _load(node: Node, cells: Cells, place: str) -> str:

@@ -6,6 +6,9 @@ from typing import Any, NamedTuple
 from jaxstage.engine.node import LIMITS, Node
 from jaxstage.engine.rolling import Kinds, Roll, rolls
 
+#: in a C++ text: the number of a vector of runs
+COPY = "@"
+
 
 class Store(NamedTuple):
     """What becomes of a result: cell ``slot`` of an array, set or added to; only ``where``."""
@@ -111,17 +114,17 @@ def excluded(store: Store, condition: Node, cells: Cells) -> bool:
     node = store.node
     if node.op != "select" or store.add or not _holds(store, node.args[2], cells):
         return False
-    given = _conjuncts(condition)
+    given = conjuncts(condition)
     return any(
-        (part, not truth) in given or (not truth and _conjuncts(part) <= given)
-        for part, truth in _conjuncts(node.args[0])
+        (part, not truth) in given or (not truth and conjuncts(part) <= given)
+        for part, truth in conjuncts(node.args[0])
     )
 
 
-def _conjuncts(node: Node) -> set[tuple[Node, bool]]:
+def conjuncts(node: Node) -> set[tuple[Node, bool]]:
     """Conditions that must all be as given for a condition to hold."""
     if node.op == "and":
-        return _conjuncts(node.args[0]) | _conjuncts(node.args[1])
+        return conjuncts(node.args[0]) | conjuncts(node.args[1])
     return {(node.args[0], False)} if node.op == "not" else {(node, True)}
 
 
