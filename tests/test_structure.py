@@ -208,12 +208,15 @@ UNITS = {"1", "m", "s", "kg", "N", "A", "V", "W", "J", "rad", "ohm", "Hz", "comm
 
 
 def is_unit(text: str) -> bool:
-    """``N s/m``, ``A2 s2/m2``: known units with whole powers, one stroke at most."""
+    """``N s/m``, ``1/(m s)``: known units with whole powers, one stroke at most, and brackets where
+    several units stand below it."""
     top, *below = text.split("/")
+    bottom = "".join(below)
+    clear = bottom == f"({bottom.strip('()')})" if " " in bottom else "(" not in bottom
     factors = [
-        re.sub(r"\d+$", "", f) if f != "1" else f for f in (top + " " + " ".join(below)).split()
+        re.sub(r"\d+$", "", f) if f != "1" else f for f in f"{top} {bottom.strip('()')}".split()
     ]
-    return bool(text) and len(below) <= 1 and all(f in UNITS for f in factors)
+    return bool(text) and len(below) <= 1 and clear and all(f in UNITS for f in factors)
 
 
 @pytest.mark.fast
