@@ -89,22 +89,6 @@ def test_a_row_is_a_run_with_units_in_its_columns(whole):
     assert metadata[b"processor"].decode() == processor()
 
 
-@pytest.mark.fast
-@pytest.mark.parametrize(
-    ("told", "name"),
-    [
-        ("processor\t: 0\nmodel name\t: Some Core @ 2 GHz\nflags : a\n", "Some Core @ 2 GHz"),
-        ("processor\t: 0\nCPU part\t: 0xd0c\n", "an-architecture"),
-        ("model name\t:\n", "an-architecture"),
-    ],
-)
-def test_a_processor_without_a_model_is_named_by_its_architecture(monkeypatch, told, name):
-    monkeypatch.setattr(Path, "read_text", lambda file, encoding: told)
-    monkeypatch.setattr("platform.processor", lambda: "")
-    monkeypatch.setattr("platform.machine", lambda: "an-architecture")
-    assert processor() == name
-
-
 def test_a_row_is_what_a_single_run_gives(whole):
     rows, plan = table(whole).to_pylist(), build(text())
     for run in (0, REQUEST.runs - 1):
