@@ -305,7 +305,8 @@ def test_a_budget_below_a_jacobian_is_not_overrun():
         budget = least - 1.0
         found = tune(problem(), method, budget=budget, prices=dear)
         assert found.method == "cma" and 0.8 * budget < found.units <= budget
-        assert found.note == f"{name} needs {least} units for its first step: CMA-ES searched"
+        told = f"the first step of {name} costs {least} units, more than the budget"
+        assert found.note == f"{told}: CMA-ES searched"
         assert found.after < found.before
     first = tune(problem(), lbfgs(), budget=44.0, prices=dear)
     assert first.method == "lbfgs" and first.units == 44 and first.after < first.before

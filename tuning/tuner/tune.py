@@ -236,14 +236,10 @@ def tune(
     ledger = _Ledger(budget, journal, prices, count, [], {}, {})
     oracle = _oracle(ledger, problem)
     begun = _starts(oracle, problem, starts, seed)
-    check, note = None, ""
-    size = problem.space.size
-    least = screened + count * chosen.first(prices, size)
-    least += _price_of_check(prices, size, count) if method is None else 0
-    if chosen.needs and least > budget:
-        note = f"{chosen.name} needs {least:.0f} units for its first step: CMA-ES searched"
-        chosen = cma_es()
-    elif method is None:
+    check, size = None, problem.space.size
+    before = screened + (_price_of_check(prices, size, count) if method is None else 0)
+    chosen, note = _affordable(chosen, before + count * chosen.first(prices, size), budget)
+    if method is None and not note:
         check = _check(ledger, problem, begun[0], seed)
         chosen = chosen if check.ok else cma_es()
     history: list[Progress] = []
@@ -254,6 +250,17 @@ def tune(
         ended = _search(ledger, problem, cma_es(POLISH), best, seed, watch, history)
     results = tuple(StartResult(z, *end) for z, end in zip(begun, ends, strict=True))
     return _result(problem, chosen, ledger, results, check, history, ended, note)
+
+
+def _affordable(method: Method, least: float, budget: float) -> tuple[Method, str]:
+    """The method, or CMA-ES and a note where the budget does not pay for a gradient method's first
+    step. least: units until then."""
+    if not method.needs or least <= budget:
+        return method, ""
+    return cma_es(), (
+        f"the first step of {method.name} costs {math.ceil(least)} units, more than the budget: "
+        "CMA-ES searched"
+    )
 
 
 def least_budget(method: Method, n: int, starts: int) -> int:
