@@ -20,12 +20,13 @@ from tuning.tuner import problem as problems
 from tuning.tuner.cma import cma_es
 from tuning.tuner.first_order import first_order
 from tuning.tuner.gradient_check import STEPS, GradientCheck, directions_of, judged
-from tuning.tuner.journal import Answer, digest, fingerprint, keep
+from tuning.tuner.journal import digest, fingerprint, keep
 from tuning.tuner.lbfgs import lbfgs
+from tuning.tuner.ledger import Best, BeyondBudget, Ledger, ask_all, kept, make_oracle, values_of
 from tuning.tuner.levenberg_marquardt import levenberg_marquardt
 from tuning.tuner.method import Method, Oracle
 from tuning.tuner.prices import Prices, measure_prices
-from tuning.tuner.problem import Curvatures, Problem, Slopes
+from tuning.tuner.problem import Problem
 from tuning.tuner.random_search import random_search
 
 #: up to so many parameters Levenberg-Marquardt, beyond them L-BFGS
@@ -100,108 +101,6 @@ class Tuned(NamedTuple):
     note: str
 
 
-class _Best(NamedTuple):
-    """The best of the candidates of a start."""
-
-    z: np.ndarray
-    objective: float
-    violation: float
-
-    def key(self) -> tuple[float, float]:
-        """Smaller is better: first what is missed, then J."""
-        return max(self.violation, 0.0), self.objective
-
-
-class _Ledger(NamedTuple):
-    """What a tuning has asked so far; it fills while it runs. costs: (units, seconds) of every
-    question. known: answers of this process by question."""
-
-    budget: float
-    folder: Path | None
-    prices: Prices
-    starts: int
-    costs: list[tuple[float, float]]
-    best: dict[int, _Best]
-    known: dict[str, Answer]
-
-    @property
-    def units(self) -> float:
-        """Units spent."""
-        return sum(units for units, _ in self.costs)
-
-    @property
-    def seconds(self) -> float:
-        """Seconds of evaluation, those of an earlier process included."""
-        return sum(seconds for _, seconds in self.costs)
-
-
-class _BeyondBudget(Exception):
-    """A question costs more than what is left."""
-
-
-def _kept(ledger: _Ledger, question: str, units: float, answer: Callable[[], Answer]) -> Answer:
-    """The answer to a question, asked and charged only once. Raises `_BeyondBudget`."""
-    if question not in ledger.known:
-        if ledger.units + units > ledger.budget + ROUNDING:
-            raise _BeyondBudget
-        index = len(ledger.costs) + FIRST
-        ledger.known[question], seconds = keep(ledger.folder, index, question, answer)
-        ledger.costs.append((units, seconds))
-    return ledger.known[question]
-
-
-#: of a sum of units
-ROUNDING = 1e-6
-#: questions kept before those of the search: what is tuned, and the prices
-FIRST = 2
-
-
-def _ask(
-    ledger: _Ledger, problem: Problem, ask: Callable[..., Any], price: float, z: np.ndarray,
-    rows: np.ndarray,
-) -> Answer:  # fmt: skip
-    """What ``ask`` says of candidates z (m, n) of starts ``rows``; the best are remembered."""
-    question = digest(ask.__name__, problem.penalty, z, rows.astype(np.int64))
-    found = _kept(ledger, question, len(z) * price, lambda: ask(problem, z, rows))
-    for i, row in enumerate(map(int, rows)):
-        own = _Best(z[i], float(found["objective"][i]), float(found["violation"][i]))
-        if row not in ledger.best or own.key() < ledger.best[row].key():
-            ledger.best[row] = own
-    return found
-
-
-def _values(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
-    found = problems.evaluate(problem, z, rows)
-    return {"objective": found.objective, "violation": found.violation, "costs": found.costs}
-
-
-def _oracle(ledger: _Ledger, problem: Problem) -> Oracle:
-    prices = ledger.prices
-
-    def filled(z: np.ndarray, rows: np.ndarray, ask: Callable[..., Any]) -> Answer:
-        """All starts in one call, so that one program does, however many of them move."""
-        full = np.minimum(np.arange(max(ledger.starts, len(z))), len(z) - 1)
-        found = ask(problem, z[full], rows[full])
-        return {name: x[: len(z)] for name, x in found._asdict().items()}
-
-    def reverse(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
-        return filled(z, rows, problems.slopes)
-
-    def forward(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
-        return filled(z, rows, problems.curvatures)
-
-    def values(z: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        return _ask(ledger, problem, _values, 1.0, z, rows)["objective"]
-
-    def slopes(z: np.ndarray, rows: np.ndarray) -> Slopes:
-        return Slopes(**_ask(ledger, problem, reverse, prices.gradient, z, rows))
-
-    def curvatures(z: np.ndarray, rows: np.ndarray) -> Curvatures:
-        return Curvatures(**_ask(ledger, problem, forward, prices.curvature, z, rows))
-
-    return Oracle(values, slopes, curvatures)
-
-
 def tune(
     problem: Problem, method: Method | None = None, starts: int | np.ndarray = 1, seed: int = 0,
     budget: float = 2000.0, prices: Prices | None = None, journal: Path | None = None,
@@ -233,8 +132,8 @@ def tune(
     question = digest(fingerprint(problem), chosen.name, method is None, told, seed, told_prices)
     keep(journal, 0, question, dict)
     prices = prices or _kept_prices(problem, chosen, count, journal)
-    ledger = _Ledger(budget, journal, prices, count, [], {}, {})
-    oracle = _oracle(ledger, problem)
+    ledger = Ledger(budget, journal, prices, count, [], {}, {})
+    oracle = make_oracle(ledger, problem)
     begun = _starts(oracle, problem, starts, seed)
     check, size = None, problem.space.size
     before = screened + (_price_of_check(prices, size, count) if method is None else 0)
@@ -246,7 +145,7 @@ def tune(
     ended = _search(ledger, problem, chosen, begun, seed, watch, history)
     ends = tuple(ledger.best[k] for k in range(count))
     if method is None and few and chosen.needs and ledger.units < budget:
-        best = min(ends, key=_Best.key).z[None]
+        best = min(ends, key=Best.key).z[None]
         ended = _search(ledger, problem, cma_es(POLISH), best, seed, watch, history)
     results = tuple(StartResult(z, *end) for z, end in zip(begun, ends, strict=True))
     return _result(problem, chosen, ledger, results, check, history, ended, note)
@@ -303,16 +202,16 @@ def _price_of_check(prices: Prices, size: int, starts: int) -> float:
     return 2 * DIRECTIONS * len(STEPS) + (jacobian if size <= FEW else DIRECTIONS)
 
 
-def _check(ledger: _Ledger, problem: Problem, z: np.ndarray, seed: int) -> GradientCheck:
+def _check(ledger: Ledger, problem: Problem, z: np.ndarray, seed: int) -> GradientCheck:
     """The check of the gradients at the first start. What it asks is kept and charged: differences
     as evaluations, slopes along directions as one each."""
     along = directions_of(len(z), DIRECTIONS, seed)
     if len(z) <= FEW:
-        found = _oracle(ledger, problem).curvatures(z[None], np.zeros(1, int))
+        found = make_oracle(ledger, problem).curvatures(z[None], np.zeros(1, int))
         slopes = along @ found.of_runs[0].T
     else:
         question = digest("directional", z, along)
-        slopes = _kept(
+        slopes = kept(
             ledger, question, float(DIRECTIONS),
             lambda: {"slopes": problems.directional(problem, z, along)},
         )["slopes"]  # fmt: skip
@@ -320,13 +219,13 @@ def _check(ledger: _Ledger, problem: Problem, z: np.ndarray, seed: int) -> Gradi
     for step in STEPS:
         ends = np.concatenate([z + step * along, z - step * along])
         rows = np.full(len(ends), SCREENING)
-        costs = _ask(ledger, problem, _values, 1.0, ends, rows)["costs"]
+        costs = ask_all(ledger, problem, values_of, 1.0, ends, rows)["costs"]
         differences.append((costs[:DIRECTIONS] - costs[DIRECTIONS:]).T / (2 * step))
     return judged(problem.run_names, slopes.T, differences)
 
 
 def _search(
-    ledger: _Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
+    ledger: Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
     watch: Callable[[Progress], None], history: list[Progress],
 ) -> str:  # fmt: skip
     """Step until all starts are at their end or the budget is; which of them it was.
@@ -339,17 +238,17 @@ def _search(
 
     try:
         return _steps(ledger, problem, method, begun, seed, tell)
-    except _BeyondBudget:
+    except BeyondBudget:
         if history[-1].units < ledger.units:
             tell(np.full(len(begun), np.nan))
         return "the budget does not pay for the next step"
 
 
 def _steps(
-    ledger: _Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
+    ledger: Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
     tell: Callable[[np.ndarray], None],
 ) -> str:  # fmt: skip
-    state = method.begin(_oracle(ledger, problem), begun, seed)
+    state = method.begin(make_oracle(ledger, problem), begun, seed)
     while True:
         tell(state.gradient_norm)
         if np.all(state.done):
@@ -358,15 +257,15 @@ def _steps(
                 return "no start finds anything better"
             problem = problem._replace(penalty=problem.penalty * HARDER)
             again = np.stack([ledger.best[row].z for row in range(len(begun))])
-            state = method.begin(_oracle(ledger, problem), again, seed)
+            state = method.begin(make_oracle(ledger, problem), again, seed)
             continue
         if ledger.units > TRIED * ledger.budget and len(problem.weights) == 1:
             state = state._replace(done=state.done | (state.value > BEHIND * np.min(state.value)))
-        state = method.step(_oracle(ledger, problem), state)
+        state = method.step(make_oracle(ledger, problem), state)
 
 
-def _progress(ledger: _Ledger, norms: np.ndarray, step: int) -> Progress:
-    best = min(ledger.best.values(), key=_Best.key)
+def _progress(ledger: Ledger, norms: np.ndarray, step: int) -> Progress:
+    best = min(ledger.best.values(), key=Best.key)
     norms = norms[np.isfinite(norms)]
     left = (ledger.budget - ledger.units) * ledger.seconds / max(ledger.units, 1.0)
     return Progress(
@@ -377,10 +276,10 @@ def _progress(ledger: _Ledger, norms: np.ndarray, step: int) -> Progress:
 
 
 def _result(
-    problem: Problem, method: Method, ledger: _Ledger, starts: tuple[StartResult, ...],
+    problem: Problem, method: Method, ledger: Ledger, starts: tuple[StartResult, ...],
     check: GradientCheck | None, history: list[Progress], ended: str, note: str,
 ) -> Tuned:  # fmt: skip
-    best = min(ledger.best.values(), key=_Best.key)
+    best = min(ledger.best.values(), key=Best.key)
     assert problem.before is not None
     gains = problem.space.gains_of(jnp.asarray(best.z))
     return Tuned(
