@@ -161,6 +161,7 @@ def test_trade_offs(command, shared):
     points = np.array([[one["figures"][c] for c in columns] for one in front["points"]])
     kept = [one["on_front"] for one in front["points"]]
     assert kept == non_dominated(points).tolist() and 0 <= front["hypervolume"] < 1
+    assert front["units"] <= 80 and front["note"] is None, "random search has no dear first step"
     (suggested,) = [i for i, one in enumerate(front["points"]) if one["suggested"]]
     assert kept[suggested]
     shares = np.array([[one["weights"][c] for c in columns] for one in front["points"][1:]])

@@ -173,6 +173,7 @@ def front_object(front: Front | None) -> dict[str, Any] | None:
         "hypervolume": number(front.volume),
         "reference": row(front.reference),
         "units": rounded(front.units),
+        "note": front.note or None,
     }  # fmt: skip
 
 
