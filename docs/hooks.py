@@ -105,7 +105,7 @@ def spreads(study: str) -> str:
 
 
 def values(loop: str, *roots: str) -> str:
-    """The numbers of a loop below ``plant``, ``gains``, ..., with symbol and unit."""
+    """The numbers of a loop below ``plant``, ``reference``, ..., with symbol and unit."""
     from jaxstage import find
     from jaxstage.fields import in_units_of
     from jaxstage.settings import known_leaves
@@ -113,7 +113,7 @@ def values(loop: str, *roots: str) -> str:
     entry = find(loop)
     case = entry.build(entry.timing)
     rows = []
-    for path, (quantity, value) in known_leaves(case.gains, case.scenario).items():
+    for path, (quantity, value) in known_leaves(case.gains, case.scenario, case.path).items():
         if path.split(".")[0] in roots and np.size(value) <= 4:
             unit = in_units_of(quantity, case.loop.plant.command_unit).unit
             numbers = ", ".join(f"{x:.6g}" for x in np.ravel(np.asarray(value, float)))

@@ -135,12 +135,15 @@ def replace(obj: T, **changes: Any) -> T:
 
 
 def in_units_of(quantity: Quantity, command_unit: str) -> Quantity:
-    """The quantity with the plant's command unit in place of the word ``command``."""
+    """The quantity with the plant's command unit in place of the word ``command``: ``N/command``
+    is ``N/A`` or ``N/(N m)``."""
 
     def power(found: re.Match[str]) -> str:
-        return " ".join(factor + found[1] for factor in command_unit.split())
+        text = " ".join(factor + found[2] for factor in command_unit.split())
+        return f"/({text})" if found[1] and " " in text else found[1] + text
 
-    unit, shown = (re.sub(r"command(\d*)", power, text) for text in (quantity.unit, quantity.shown))
+    both = (quantity.unit, quantity.shown)
+    unit, shown = (re.sub(r"(/?)command(\d*)", power, text) for text in both)
     return dataclasses.replace(quantity, unit=unit, shown=shown)
 
 

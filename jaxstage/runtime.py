@@ -63,12 +63,14 @@ def cpu_cores() -> int:
 
 
 def processor() -> str:
-    """The model of what computes: of the accelerator, or of the processor as Linux names it."""
+    """The model of what computes: of the accelerator, or of the processor as Linux names it; its
+    architecture where no model is named."""
     kind = jax.local_devices()[0].device_kind
     if kind != "cpu":
         return kind
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
+            name = line.partition(":")[2].strip()
+            if line.startswith("model name") and name:
+                return name
     return platform.processor() or platform.machine()

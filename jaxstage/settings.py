@@ -1,6 +1,8 @@
 """Settings by name: paths, symbols and suffixes to leaves; TOML to settings and back."""
 
 import difflib
+import re
+import textwrap
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,14 +17,26 @@ from jaxstage.signals import Scenario
 
 #: parts of a scenario that settings reach
 SCENARIO_PARTS = ("plant", "load", "sensor", "drive", "start")
+#: what the settings of a motion begin with
+MOTION = "reference"
 
 
-def known_leaves(gains: Any, scenario: Scenario) -> dict[str, tuple[Quantity, Any]]:
-    """Every setting of a loop: full path -> (quantity, value)."""
+def known_leaves(
+    gains: Any, scenario: Scenario, motion: Any = ()
+) -> dict[str, tuple[Quantity, Any]]:
+    """Every setting of a loop: full path -> (quantity, value).
+
+    motion: the path. Where it is computed in the loop, its sizes are settings, ``reference.``; its
+    times follow from the timing of the case.
+    """
     found = {path: (q, v) for path, q, v in leaves(gains, "gains")}
     for name in SCENARIO_PARTS:
         found |= {path: (q, v) for path, q, v in leaves(getattr(scenario, name), name)}
-    return found
+    return found | {
+        path: (q, v)
+        for path, q, v in leaves(motion, MOTION)
+        if q.role != "signal" and q.unit == "m"
+    }
 
 
 def resolve(
@@ -69,8 +83,9 @@ def apply(
     scenario: Scenario,
     settings: Mapping[str, Any],
     other_names: tuple[str, ...] = (),
-) -> tuple[Any, Scenario, tuple[str, ...]]:
-    """Gains and scenario with settings (name -> number or nested list, SI) applied.
+    motion: Any = (),
+) -> tuple[Any, Scenario, Any, tuple[str, ...]]:
+    """Gains, scenario and motion with settings (name -> number or nested list, SI) applied.
 
     A single number fills the leaf; a list of one number per axis is spread over the rest of it.
     Returns also the full paths that were set. Raises ValueError naming a setting that is
@@ -78,12 +93,16 @@ def apply(
     """
     paths = []
     for name, value in settings.items():
-        known = known_leaves(gains, scenario)
+        known = known_leaves(gains, scenario, motion)
         path = resolve(name, known, other_names)
         filled = _fill(path, value, known[path][1])
-        gains, scenario = replaced(gains, scenario, path, filled)
+        root, *rest = path.split(".")
+        if root == MOTION:
+            motion = with_leaf(motion, rest, filled)
+        else:
+            gains, scenario = replaced(gains, scenario, path, filled)
         paths.append(path)
-    return gains, scenario, tuple(paths)
+    return gains, scenario, motion, tuple(paths)
 
 
 def replaced(gains: Any, scenario: Scenario, path: str, value: Any) -> tuple[Any, Scenario]:
@@ -183,4 +202,28 @@ def nested(tree: Any) -> Any:
 def to_toml(sections: Mapping[str, Any], values: Mapping[str, Any] | None = None) -> str:
     """TOML text of plain values and named pytrees; `read_toml` and `apply` take it back."""
     tables = {name: nested(tree) for name, tree in sections.items()}
-    return tomli_w.dumps({**(values or {}), **{k: v for k, v in tables.items() if v}})
+    return plain_toml({**(values or {}), **{k: v for k, v in tables.items() if v}})
+
+
+#: numbers of an array, one a line, as the writer of TOML leaves them: no string holds a line break
+_ROW = re.compile(
+    r"^(?P<indent> *)(?P<key>.*)\[\n(?P<numbers>(?: *[-+.\w]+,\n)+) *\]", re.MULTILINE
+)
+WIDTH = 100
+
+
+def plain_toml(table: Mapping[str, Any]) -> str:
+    """TOML text of plain data, with the rows of an array on lines."""
+    return _ROW.sub(_on_a_line, tomli_w.dumps(table))
+
+
+def _on_a_line(found: re.Match[str]) -> str:
+    indent, numbers = found["indent"], " ".join(found["numbers"].split()).removesuffix(",")
+    line = f"{indent}{found['key']}[{numbers}]"
+    if len(line) < WIDTH:
+        return line
+    rows = textwrap.fill(
+        numbers + ",", WIDTH - 1, initial_indent=f"{indent}    ",
+        subsequent_indent=f"{indent}    ", break_on_hyphens=False,
+    )  # fmt: skip
+    return f"{indent}{found['key']}[\n{rows}\n{indent}]"

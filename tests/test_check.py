@@ -10,10 +10,12 @@ from hypothesis import settings as effort
 from hypothesis import strategies as st
 
 from jaxstage.check import check
-from jaxstage.controllers import per_axis, pi
+from jaxstage.controllers import RigidAxis, per_axis, pi
 from jaxstage.drives import CurrentDrive, current_drive
-from jaxstage.fields import in_units_of, replace
+from jaxstage.fields import in_units_of, quantities, replace
 from jaxstage.loads import SineLoad, sine_load
+from jaxstage.metrics.effort import Effort
+from jaxstage.metrics.table import key
 from jaxstage.plants import pmsm_table
 from jaxstage.references import analytic
 from jaxstage.rollout import simulate
@@ -93,6 +95,17 @@ def test_any_bad_entry_is_named(case):
     assert f"[{quantity.symbol}] = {bad:g}" in message
     assert quantity.unit == "1" or f" {quantity.unit}: must be " in message
     assert message.endswith(f"must be {quantity.range_text()}")
+
+
+@pytest.mark.fast
+def test_a_unit_with_a_command_below_the_stroke_is_clear():
+    """In N m as in A; the name of a column is the same without brackets."""
+    constant = quantities(RigidAxis)["force_constant"]
+    assert in_units_of(constant, "A").unit == "N/A"
+    unit = in_units_of(constant, "N m").unit
+    assert unit == "N/(N m)" and key("constant", unit) == "constant_N_per_Nm"
+    variance = quantities(Effort)["command_variance"]
+    assert in_units_of(variance, "N m").unit == "N2 m2"
 
 
 @pytest.mark.fast

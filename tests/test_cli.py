@@ -28,6 +28,7 @@ SCHEMA = {
     "lap_time_s": float,
     "laps": int,
     "scored": int,
+    "motion": dict,
     "verdict": str,
     "finite": bool,
     "left_path_at": type(None),
@@ -124,7 +125,7 @@ def test_json_is_one_object_of_the_schema(jaxstage):
     assert found["precision"] == "double" and found["notes"] == []
     assert found["dt_s"] == 1e-4 and found["lap_time_s"] == 0.5
     assert found["duration_s"] == pytest.approx(0.5) and found["laps"] == 1
-    assert found["scored"] == 0 and found["finite"]
+    assert found["scored"] == 0 and found["finite"] and found["motion"] == {}
 
 
 def test_figures_are_numbers_or_one_per_axis(jaxstage):

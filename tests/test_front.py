@@ -150,7 +150,7 @@ def test_tune(command, place, monkeypatch):
     monkeypatch.setattr("tuning.tuner.cli._tune", lambda plan, out, *_: plans.append((plan, out)))
     example(command, "tune", place, monkeypatch)
     ((plan, out),) = plans
-    assert plan.table["loop"] == "pi-circle" and plan.table["budget"] == 20 and out.name == "tuned"
+    assert plan.table["loop"] == "pi-circle" and plan.table["budget"] == 60 and out.name == "tuned"
 
 
 def test_compare_and_its_report(command, place, monkeypatch):

@@ -9,19 +9,8 @@ import pytest
 from batteries import stacked, tracing
 
 import jaxstage as js
-from jaxstage.controllers import per_axis, sliding
 from jaxstage.controllers.parts.cmac import Gaussian
-from jaxstage.metrics import (
-    contour,
-    effort,
-    following,
-    standard,
-    together,
-    tracking,
-    windowed,
-)
-from jaxstage.numerics.smooth import Layer, exact, implicit
-from jaxstage.references import analytic
+from jaxstage.metrics import contour, standard, together, tracking, windowed
 from jaxstage.rollout import simulate
 from jaxstage.studies.fuzzy_cmac.loops import LAWS
 
@@ -321,75 +310,6 @@ def test_backlash():
     np.testing.assert_allclose(loose(tracked("dfcmac-circle")).report.ate * UM, 20.4784, atol=DIGIT)
     # close to its stability limit: 1e-12 m at the start moves this figure by 0.2 um
     np.testing.assert_allclose(loose(finely("cmac")).report.ate * UM, 39.2799, atol=0.5)
-
-
-def uniform_circle(params, time):
-    angle = 2 * jnp.pi * time / 5.0
-    return 0.025 * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
-
-
-def sliding_motion(sample):
-    return sample.memory.surface, sample.output.velocity
-
-
-@functools.cache
-def ideal(switch):
-    case = build("sliding-circle", PUBLISHED)
-    params = Layer(layer=jnp.ones(2)) if switch is implicit else ()
-    loop = js.replace(
-        case.loop,
-        controller=per_axis(sliding(switch)),
-        reference=analytic("uniform_circle", uniform_circle, 1e-4),
-        metric=together(
-            windowed(together(following, effort()), 50_000, 100_000, "lap 2"),
-            tracing(sliding_motion),
-        ),
-    )
-    gains = js.replace(case.gains, switch=params)
-    path = jnp.zeros(())
-    return simulate(loop, gains, case.scenario, path, case.window.ticks)
-
-
-def test_ideal_sliding_mode_stays_in_its_layer():
-    """|s| <= (eta_D + D) dt with sgn, about eta_D dt with the implicit switch."""
-    step = 1e-4
-    plant = build("cmac-circle", SHORT).scenario.plant
-    bound = np.asarray(plant.static / plant.mass)
-    for switch, limit, observed in (
-        (exact, (2 * bound + 0.01) * step, 0.01595),
-        (implicit, (bound + 0.01) * step * 1.001, 0.00800),
-    ):
-        s = np.abs(ideal(switch).rows["tracing"][0])
-        settled = s[50_000:].max(axis=0)
-        assert (settled <= limit).all()
-        np.testing.assert_allclose(settled[0], observed, atol=1e-5)
-
-
-def test_ideal_sliding_mode_reaches_its_surface():
-    """Outside the layer |s| falls at least as fast as eta.
-
-    Less what sampling costs: the law compensates B v at the start of the period, the table feels
-    it at the end.
-    """
-    plant = build("cmac-circle", SHORT).scenario.plant
-    layer = np.asarray(2 * plant.static / plant.mass + 0.01) * 1e-4
-    surface, velocity = ideal(exact).rows["tracing"]
-    s = np.abs(surface)
-    change = np.abs(np.diff(velocity, axis=0))
-    sampling = np.asarray(plant.damping / plant.mass) * change * 1e-4
-    outside = s[:-1] > layer
-    assert outside[:, 1].any()
-    fall = -np.diff(s, axis=0)
-    assert (fall >= 0.01 * 1e-4 - 1.5 * sampling)[outside].all()
-    assert (sampling[outside] < 0.05 * 0.01 * 1e-4).mean() > 0.9
-
-
-def test_ideal_sliding_mode_is_a_baseline():
-    sharp, soft = (ideal(s).report["lap 2"] for s in (exact, implicit))
-    np.testing.assert_allclose(sharp["effort"].command_variation, [2.60, 2.17], atol=5e-3)
-    np.testing.assert_allclose(soft["effort"].command_variation, [0.202, 0.169], atol=5e-4)
-    # switching is chaotic: the RMS moves by some hundredths from lap to lap
-    np.testing.assert_allclose(sharp["following"].following_rms * 1e3, [4.46, 4.23], atol=0.03)
 
 
 def test_cascade_is_better_than_the_published_laws():

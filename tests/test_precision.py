@@ -1,13 +1,15 @@
-"""Single against double precision: the stored table, the refusal, the doctor."""
+"""Single against double precision: the stored table, the refusal, the doctor; the processor."""
 
 import json
 import sys
+from types import SimpleNamespace
 
 import jax
 import pytest
 
 import jaxstage as js
 from jaxstage.metrics import contour, energy, together, tracking, windowed
+from jaxstage.runtime import processor
 from jaxstage.studies import all_studies
 from jaxstage.studies.precision import HEADLINE, LARGEST, compare_precision, stored_precision, worst
 from tuning import cli
@@ -72,3 +74,20 @@ def test_the_doctor(monkeypatch, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["jax"] == jax.__version__ and found["precision"] == "double"
     assert found["lane_steps_per_s"] > 1e3 and len(found["devices"]) >= 1
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("told", "name"),
+    [
+        ("processor\t: 0\nmodel name\t: Some Core @ 2 GHz\nflags : a\n", "Some Core @ 2 GHz"),
+        ("processor\t: 0\nCPU part\t: 0xd0c\n", "an-architecture"),
+        ("model name\t:\n", "an-architecture"),
+    ],
+)
+def test_a_processor_without_a_model_is_named_by_its_architecture(monkeypatch, told, name):
+    file = SimpleNamespace(read_text=lambda encoding: told)
+    monkeypatch.setattr("jaxstage.runtime.Path", {"/proc/cpuinfo": file}.__getitem__)
+    monkeypatch.setattr("platform.processor", lambda: "")
+    monkeypatch.setattr("platform.machine", lambda: "an-architecture")
+    assert processor() == name

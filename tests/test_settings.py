@@ -1,5 +1,7 @@
 """Settings by name and from files: what a user types reaches the leaf that is meant."""
 
+import tomllib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,12 +21,15 @@ from jaxstage.settings import (
     known_leaves,
     line_of,
     nearest_name,
+    plain_toml,
     read_toml,
     resolve,
     to_toml,
 )
 from jaxstage.studies.fuzzy_cmac.loops import dfcmac_gains, scenario
 from tuning import runs
+from tuning.cases import case_of, case_table
+from tuning.scenarios import uncertain_leaves
 
 GAINS = cast(dfcmac_gains())
 SCENE = jax.tree.map(
@@ -153,7 +158,7 @@ COUNTED = np.arange(72.0).reshape(2, 4, 3, 3)
     ],
 )  # fmt: skip
 def test_a_number_fills_and_a_list_goes_per_axis(name, given_, expected):
-    gains, scene, (path,) = apply(GAINS, SCENE, {name: given_})
+    gains, scene, _, (path,) = apply(GAINS, SCENE, {name: given_})
     np.testing.assert_array_equal(value(path, gains, scene), expected)
     others = [p for p in KNOWN if p != path]
     for other in others:
@@ -181,10 +186,10 @@ def test_wrong_values_name_the_setting(name, wrong, message):
 
 
 def test_later_settings_win_and_precision_stays():
-    gains, _, paths = apply(GAINS, SCENE, {"gains.c1": 2.0, "slope": 3.0})
+    gains, _, _, paths = apply(GAINS, SCENE, {"gains.c1": 2.0, "slope": 3.0})
     assert paths == ("gains.slope", "gains.slope")
     np.testing.assert_array_equal(gains.slope, [3, 3])
-    coarse, _, _ = apply(cast(GAINS, jnp.float32), SCENE, {"slope": 0.1})
+    coarse, _, _, _ = apply(cast(GAINS, jnp.float32), SCENE, {"slope": 0.1})
     assert coarse.slope.dtype == jnp.float32
 
 
@@ -213,7 +218,7 @@ def test_toml_gives_back_every_bit(tmp_path_factory, drawn):
     gains, scene = jax.tree.map(fill, (GAINS, SCENE))
     file = write(tmp_path_factory.mktemp("toml"), gains, scene)
     back = apply(GAINS, SCENE, read_toml(file))
-    assert set(back[2]) == set(KNOWN)
+    assert set(back[3]) == set(KNOWN)
     for path in KNOWN:
         expected, got = value(path, gains, scene), value(path, *back[:2])
         assert expected.tobytes() == got.tobytes() and expected.shape == got.shape, path
@@ -224,7 +229,7 @@ def test_toml_keeps_infinity_and_single_precision(tmp_path):
         lambda x: jnp.asarray(np.float32(x) / np.float32(3)), cast(GAINS, jnp.float32)
     )
     file = write(tmp_path, gains, SCENE)
-    back, scene, _ = apply(cast(GAINS, jnp.float32), SCENE, read_toml(file))
+    back, scene, _, _ = apply(cast(GAINS, jnp.float32), SCENE, read_toml(file))
     assert scene.sensor.bandwidth == jnp.inf and (scene.drive.limit == jnp.inf).all()
     jax.tree.map(np.testing.assert_array_equal, back, gains)
 
@@ -315,6 +320,71 @@ def test_both_files_give_back_a_case(tmp_path):
         one, other = getattr(back.scenario, name), getattr(case.scenario, name)
         jax.tree.map(np.testing.assert_array_equal, one, other)
     assert (jax.random.key_data(back.scenario.key) == jax.random.key_data(case.scenario.key)).all()
+
+
+@pytest.mark.parametrize(
+    ("loop", "name", "path"),
+    [
+        ("smc-s1", "radius", "reference.radius"),
+        ("smc-s5", "reference.r", "reference.radius"),
+        ("pd", "reference.R", "reference.radius"),
+        ("sim1", "reference.amplitude", "reference.amplitude"),
+    ],
+)
+def test_the_size_of_a_motion_is_a_setting(loop, name, path):
+    """It reaches the setpoints, what a sweep and a tuning keep of the case, and nothing else."""
+    before = runs.prepare(loop, ["lap_time=2"]).case
+    case = runs.prepare(loop, ["lap_time=2", f"{name}=0.03"]).case
+    old, new = (known_leaves((), one.scenario, one.path)[path][1] for one in (before, case))
+    assert new == 0.03 != old
+    first, later = (
+        np.asarray(one.loop.reference.sample(one.path, jnp.asarray(90)).position)
+        for one in (before, case)
+    )
+    np.testing.assert_allclose(later[:2] / first[:2], 0.03 / old, rtol=1e-12)
+    table = case_table(case)
+    assert path in uncertain_leaves(case), "a spread may name it"
+    assert table["values"][path] == 0.03 and case_of(table, {}).path == case.path
+    assert case.window == before.window
+    jax.tree.map(np.testing.assert_array_equal, case.gains, before.gains)
+
+
+@pytest.mark.parametrize(
+    ("loop", "words", "says"),
+    [
+        ("smc-s1", ["radius=-0.01"], r"reference\.radius \[r\] = -0\.01 m: must be > 0 m"),
+        ("smc-s1", ["radius=1cm"], "units are not written, this one is m"),
+        ("smc-s5", ["feed=600", "radius=0.01"], "--set feed and --set reference.radius: the feed"),
+        ("sim1", ["period=2"], "unknown setting 'period'"),
+        ("pi-circle", ["radius=0.01"], "unknown setting 'radius'"),
+    ],
+)
+def test_a_bad_size_is_one_line(loop, words, says):
+    with pytest.raises(ValueError, match=says) as caught:
+        runs.prepare(loop, words)
+    assert "\n" not in str(caught.value)
+
+
+NUMBERS = st.floats(allow_nan=False) | st.integers(-9, 9).map(float) | st.booleans()
+ARRAYS = st.recursive(
+    st.lists(NUMBERS, max_size=30), lambda x: st.lists(x, max_size=3), max_leaves=9
+)
+TEXTS = st.text() | st.lists(st.text(), max_size=3) | st.just("[\n  1.0,\n]")
+
+
+@given(st.dictionaries(st.text(max_size=9), NUMBERS | ARRAYS | TEXTS, max_size=3))
+@effort(max_examples=80, deadline=None)
+def test_written_as_toml_it_reads_back_the_same(values):
+    table = {"own": values, "all": [values, {"inner": values}]}
+    assert tomllib.loads(plain_toml(table)) == table
+
+
+def test_rows_of_an_array_stand_on_lines():
+    rows = plain_toml({"weights": np.zeros((2, 2, 3)).tolist(), "mass": [3e-3, -0.5], "none": []})
+    inner = "    [\n" + 2 * "        [0.0, 0.0, 0.0],\n" + "    ],\n"
+    assert rows == f"weights = [\n{2 * inner}]\nmass = [0.003, -0.5]\nnone = []\n"
+    long = plain_toml({"knots": np.linspace(-1, 1, 60).tolist()})
+    assert max(map(len, long.splitlines())) < 100 and long.count("\n") < 20
 
 
 def test_every_leaf_has_a_symbol_or_is_no_setting():

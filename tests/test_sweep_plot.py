@@ -86,9 +86,22 @@ def test_failing_and_lost_plants_are_marked():
     }
     failed = int((~PASSED & np.isfinite(VALUES)).sum())
     assert marks == {".": int(PASSED.sum()), "x": failed, "v": 7}
+    told = words(drawn)
+    assert "median of 12 slices" in told and "Crosses" in told and "Triangles" in told
+    assert any(line.get_marker() == "None" and len(line.get_xdata()) == 12 for line in first.lines)
     far = sweep.parameters(ONE, columns, {}, SHEET._replace(limit=500.0))
     assert "The limit of 500 is off the scale" in words(far)
     assert max(ax.get_ylim()[1] for ax in far.axes) < 40
+
+
+def test_a_picture_of_few_plants_explains_nothing_that_is_not_drawn():
+    good = sweep.Sample("pi-circle", SOURCE.uniform(5, 15, 64), np.ones(64, bool))
+    drawn = sweep.parameters(good, {"plant.mass x (kg)": SOURCE.random(64)}, {}, SHEET)
+    told = words(drawn)
+    assert "Each dot is one plant" in told
+    assert not any(word in told for word in ("Black", "Crosses", "Triangles"))
+    (dots,) = (line for line in drawn.axes[0].lines if len(line.get_xdata()) == 64)
+    assert dots.get_marker() == "." and dots.get_markersize() == 7
 
 
 def test_a_tornado_starts_at_the_nominal_plant():

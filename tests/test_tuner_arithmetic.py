@@ -121,14 +121,15 @@ def test_tuned_gains_come_back_to_the_last_bit(tmp_path):
     tuned = [TunedGain("gains.slope", "c1", "1/s", np.full(2, 0.1), np.array([9.0, 10.0]),
                        np.ones(2))]  # fmt: skip
     file = tmp_path / "gains.toml"
-    file.write_text(to_text(gains, tuned, ["tuned for\ncmac-circle"]))
-    assert file.read_text().startswith("# tuned for cmac-circle\n[gains]")
+    file.write_text(to_text(case, gains, tuned, ["tuned for\ncmac-circle"]))
+    head = '# tuned for cmac-circle\nlaw = "cmac_sliding[crisp, exact]"\n\n[gains]\n'
+    assert file.read_text().startswith(head)
     (found,) = read_tuned(file)
     assert found.gain == "gains.slope" and found.symbol == "c1" and found.unit == "1/s"
     assert found.low.tolist() == [0.1, 0.1] and found.high.tolist() == [9.0, 10.0]
     assert found.before.tolist() == [1.0, 1.0]
     assert read_toml(file)["tuned"][0]["low"] == 0.1, "one number where all agree"
-    again = prepare("cmac-circle", [], gains_file=file).case.gains
+    again = prepare("cmac-star", [], gains_file=file).case.gains
     assert np.array_equal(again.slope, slope) and np.array_equal(again.weights, gains.weights)
 
 

@@ -29,6 +29,7 @@ BLANK = Page(
 #: what stands in the folder where the commands are called
 FILES = {
     "other-law.toml": "[gains]\nslope = 1.0\n",
+    "crisp.toml": '# found\nlaw = "cmac_sliding[crisp, exact]"\n[gains]\nslope = 1.0\n',
     "broken.toml": "[gains]\nslope = [1.0,\n",
     "unit.toml": '[plant]\nmass = "3 g"\n',
     "spread.toml": '[[spread]]\npath = "plant.mas"\ndistribution = "uniform"\n',
@@ -57,6 +58,11 @@ WRONG = {
     "another law's gains": (
         "run cascade-circle --gains other-law.toml",
         "other-law.toml:2: unknown setting 'gains.slope'",
+    ),
+    "gains of another law with the same names": (
+        "run dfcmac-circle --gains crisp.toml",
+        "crisp.toml:2: these are gains of cmac_sliding[crisp, exact], the law of dfcmac-circle is "
+        "cmac_sliding[gaussian, exact]; a file without this line is taken for any law",
     ),
     "half a file": ("run pi-circle --gains broken.toml", "broken.toml: Invalid value (at the end"),
     "a folder as a file": ("run pi-circle --gains thesis", "thesis: Is a directory"),

@@ -15,13 +15,14 @@ from tuning.scenarios import uncertain_leaves
 
 
 def case_table(case: Case) -> dict[str, Any]:
-    """A case as plain data: loop, timing, and every value of gains, scenario and motion."""
+    """A case as plain data: loop, law, timing, and every value of gains, scenario and motion."""
     known = {path: value for path, (_, value) in uncertain_leaves(case).items()}
     known |= {path: value for path, _, value in leaves(case.gains, "gains")}
     own = file_digest(case.name)
     return {
         "name": case.name,
         **({"file_sha256": own} if own else {}),
+        "law": case.loop.controller.name,
         "timing": {k: v for k, v in vars(case.timing).items() if v is not None},
         "values": {path: np.asarray(value, float).tolist() for path, value in known.items()},
     }

@@ -28,7 +28,7 @@ EXAMPLES = {
     "sweep": "jaxstage sweep pi-circle cascade-circle -n 64 --set lap_time=1 --set laps=1 "
     '--spec "contour_max_um < 60 and finite" --target 0.5 --out swept',
     "replay": "jaxstage replay swept --worst 1",
-    "tune": "jaxstage tune pi-circle --budget 20 --out tuned",
+    "tune": "jaxstage tune pi-circle --budget 60 --out tuned",
     "export": "jaxstage export pi-circle --precision single --out c",
     "report": "jaxstage report swept",
     "doctor": "jaxstage doctor",
@@ -180,9 +180,10 @@ def run(
         typer.Option(
             "--set",
             metavar="NAME=VALUE",
-            help="A gain, plant value or timing, in SI: gains.c1=2, plant.mass=0.0035,0.003, "
-            "nominal.mass=0.003, lap_time=1, laps=1, scored=1, dt=2e-5, substeps=2, feed=1800 "
-            "(mm/min). One value, or one per axis. Repeatable.",
+            help="A gain, plant value, size of the motion or timing, in SI: gains.c1=2, "
+            "plant.mass=0.0035,0.003, nominal.mass=0.003, reference.radius=0.01, lap_time=1, "
+            "laps=1, scored=1, dt=2e-5, substeps=2, feed=1800 (mm/min). One value, or one per "
+            "axis. Repeatable.",
         ),
     ] = None,
     gains: Annotated[Path | None, typer.Option(help="TOML file of gains.")] = None,

@@ -1,4 +1,6 @@
-"""A file of tuned gains: every gain in SI, and of the tuned ones unit, range and value before.
+"""A file of gains: the law, every gain in SI, and of tuned ones unit, range and value before.
+
+law = "pi"                  # another law refuses the file; without this line any takes it
 
 [gains]                     # what `--gains` of run, sweep, compare and tune reads
 slope = [3.2, 2.9]
@@ -17,12 +19,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import tomli_w
 
-from jaxstage.settings import nested, read_toml
+from jaxstage.settings import line_of, nested, plain_toml, read_toml
+from jaxstage.studies import Case
 
-#: what `--gains` passes over in such a file
-NOTES = ("tuned",)
+#: what such a file holds beside gains
+LAW, NOTES = "law", ("law", "tuned")
 
 
 class TunedGain(NamedTuple):
@@ -36,8 +38,10 @@ class TunedGain(NamedTuple):
     before: np.ndarray
 
 
-def to_text(gains: Any, tuned: Sequence[TunedGain], remarks: Sequence[str]) -> str:
-    """The file. gains: all of a loop. remarks: one comment line each."""
+def to_text(
+    case: Case, gains: Any, tuned: Sequence[TunedGain] = (), remarks: Sequence[str] = ()
+) -> str:
+    """The file. gains: all of the law of the case. remarks: one comment line each."""
     tables = [
         {
             "gain": one.gain, "symbol": one.symbol, "unit": one.unit, "low": _plain(one.low),
@@ -46,7 +50,18 @@ def to_text(gains: Any, tuned: Sequence[TunedGain], remarks: Sequence[str]) -> s
         for one in tuned
     ]  # fmt: skip
     head = "".join(f"# {' '.join(remark.split())}\n" for remark in remarks)
-    return head + tomli_w.dumps({"gains": nested(gains), "tuned": tables})
+    content = {LAW: case.loop.controller.name, "gains": nested(gains)}
+    return head + plain_toml(content | ({"tuned": tables} if tables else {}))
+
+
+def refuse_other_law(file: Path, case: Case) -> None:
+    """Raise ValueError for a file that names another law than that of the case."""
+    law, own = read_toml(file).get(LAW), case.loop.controller.name
+    if law not in (None, own):
+        raise ValueError(
+            f"{file}:{line_of(file, LAW)}: these are gains of {law}, the law of {case.name} is "
+            f"{own}; a file without this line is taken for any law"
+        )
 
 
 def _plain(values: np.ndarray) -> Any:

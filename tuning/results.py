@@ -5,14 +5,17 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from jaxstage import __version__
 from jaxstage.files import write_text
 from jaxstage.metrics import columns
-from jaxstage.settings import SCENARIO_PARTS, to_toml
+from jaxstage.metrics.table import key as column
+from jaxstage.settings import MOTION, SCENARIO_PARTS, known_leaves, to_toml
 from jaxstage.signals import Run
 from jaxstage.studies import Case
 from jaxstage.studies.verdict import lost_because, verdict
+from tuning import gains_file
 
 
 def _tick(value: Any) -> int | None:
@@ -41,6 +44,7 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
         "lap_time_s": case.window.lap * case.loop.dt,
         "laps": case.window.laps,
         "scored": case.window.scored,
+        "motion": _sizes(case),
         "verdict": verdict(case, scored, lost, lost_because(case, left)),
         "finite": left is None and broken is None,
         "left_path_at": left,
@@ -51,11 +55,21 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
     }
 
 
+def _sizes(case: Case) -> dict[str, Any]:
+    """Sizes of a motion that is computed in the loop, by column."""
+    every = known_leaves((), case.scenario, case.path)
+    return {
+        column(path.removeprefix(f"{MOTION}."), quantity.unit): np.asarray(value, float).tolist()
+        for path, (quantity, value) in every.items()
+        if path.startswith(f"{MOTION}.")
+    }
+
+
 def write_settings(folder: Path, case: Case, result: dict[str, Any]) -> None:
     """run.json, gains.toml and scenario.toml: what happened, and what ``--gains`` and
     ``--scenario`` take back."""
     scenario = {name: getattr(case.scenario, name) for name in SCENARIO_PARTS}
     seed = {"seed": int(jax.random.key_data(case.scenario.key)[-1])}
     write_text(folder / "run.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
-    write_text(folder / "gains.toml", to_toml({"gains": case.gains}))
+    write_text(folder / "gains.toml", gains_file.to_text(case, case.gains))
     write_text(folder / "scenario.toml", to_toml(scenario, seed))

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxstage import settings
-from jaxstage.check import check
+from jaxstage.check import SHARED, check, check_leaves
 from jaxstage.controllers.fuzzy_rules import readable
 from jaxstage.fields import in_units_of, replace
 from jaxstage.files import write_text
@@ -20,7 +20,7 @@ from jaxstage.signals import Run
 from jaxstage.studies import Case, Timing, all_studies, find, with_metric
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
 from jaxstage.studies.study import NamedLoop
-from tuning.gains_file import NOTES
+from tuning.gains_file import NOTES, refuse_other_law
 from tuning.results import summary, write_settings
 from tuning.scenario_file import NOT_VALUES, with_file_blocks
 
@@ -72,6 +72,8 @@ def prepare(
     published = case = entry.build(retimed(timing))
     if scenario_file is not None:
         published = case = with_file_blocks(case, scenario_file)
+    if gains_file is not None:
+        refuse_other_law(gains_file, case)
     changed: tuple[str, ...] = ()
     for file, roots, others in (
         (gains_file, ("gains",), NOTES),
@@ -85,6 +87,7 @@ def prepare(
     case, paths = _applied(case, values, tuple(TIMING))
     changed += paths
     check(case.loop, case.gains, case.scenario, case.path)
+    _check_motion(case, paths)
     return Prepared(case, entry, _notes(published, case, changed))
 
 
@@ -172,7 +175,7 @@ def _numbers(name: str, text: str, unit: str) -> list[float]:
 
 def _unit(case: Case, name: str) -> str:
     """The unit of a setting. Raises ValueError for an unknown one."""
-    known = settings.known_leaves(case.gains, case.scenario)
+    known = settings.known_leaves(case.gains, case.scenario, case.path)
     quantity = known[settings.resolve(name, known, tuple(TIMING))][0]
     return in_units_of(quantity, case.loop.plant.command_unit).unit
 
@@ -231,14 +234,30 @@ def _key(file: Path, seed: Any) -> jax.Array:
 def _applied(
     case: Case, values: Mapping[str, Any], other_names: tuple[str, ...] = ()
 ) -> tuple[Case, tuple[str, ...]]:
-    gains, scenario, paths = settings.apply(case.gains, case.scenario, values, other_names)
-    return case._replace(gains=gains, scenario=scenario), paths
+    gains, scenario, path, changed = settings.apply(
+        case.gains, case.scenario, values, other_names, case.path
+    )
+    return case._replace(gains=gains, scenario=scenario, path=path), changed
+
+
+def _check_motion(case: Case, changed: tuple[str, ...]) -> None:
+    """Refuse sizes of the motion that are out of range, or that a feed does not know of."""
+    sizes = [path for path in changed if path.startswith(f"{settings.MOTION}.")]
+    if sizes:
+        shared = jax.tree.map(lambda _: SHARED, case.path)
+        check_leaves(case.loop.plant, case.path, settings.MOTION, shared)
+        if case.timing.feed is not None:
+            raise ValueError(
+                f"--set feed and --set {sizes[0]}: the feed gives the lap time for the size of the "
+                "study; give lap_time"
+            )
 
 
 def _notes(published: Case, case: Case, paths: tuple[str, ...]) -> tuple[str, ...]:
     """Say which assumptions of the controller a changed plant value did not move."""
-    before = settings.known_leaves(published.gains, published.scenario)
-    known = settings.known_leaves(case.gains, case.scenario)
+    before, known = (
+        settings.known_leaves(one.gains, one.scenario, one.path) for one in (published, case)
+    )
     changed = [p for p in dict.fromkeys(paths) if not np.array_equal(before[p][1], known[p][1])]
     notes = []
     for path in changed:

@@ -17,7 +17,7 @@ from scipy.special import ndtr, ndtri
 
 from jaxstage.fields import in_units_of, leaves
 from jaxstage.metrics.table import key as column_name
-from jaxstage.settings import SCENARIO_PARTS, replaced, resolve, with_leaf
+from jaxstage.settings import MOTION, known_leaves, replaced, resolve, with_leaf
 from jaxstage.studies import Case, known_studies
 from tuning.designs import DESIGNS
 from tuning.distributions import TAIL, Distribution, from_table
@@ -70,14 +70,9 @@ class Space(NamedTuple):
 
 def uncertain_leaves(case: Case) -> dict[str, tuple[Any, Any]]:
     """What can be uncertain: full path -> (quantity, value); ``reference.`` of the motion."""
-    found = {
+    return known_leaves((), case.scenario, case.path) | {
         path: (quantity, value)
-        for name in SCENARIO_PARTS
-        for path, quantity, value in leaves(getattr(case.scenario, name), name)
-    }
-    return found | {
-        path: (quantity, value)
-        for path, quantity, value in leaves(case.path, "reference")
+        for path, quantity, value in leaves(case.path, MOTION)
         if quantity.role == "param"
     }
 
@@ -240,7 +235,7 @@ def batch(case: Case, values: Mapping[str, np.ndarray], seeds: np.ndarray) -> Ba
     for name, value in values.items():
         array = jnp.asarray(value)
         root, _, rest = name.partition(".")
-        if root == "reference":
+        if root == MOTION:
             path = with_leaf(path, rest.split("."), array)
             axes_of_path = with_leaf(axes_of_path, rest.split("."), 0)
         else:

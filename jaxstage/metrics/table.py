@@ -17,7 +17,8 @@ _UNIT = re.compile(
 
 def key(name: str, unit: str) -> str:
     """The key of a figure: its name and the unit it is shown in, e.g. ``_A_per_s`` or ``_Nm``."""
-    suffix = {"1": "", "%": "percent"}.get(unit, unit).replace("/", "_per_").replace(" ", "")
+    suffix = {"1": "", "%": "percent"}.get(unit, unit)
+    suffix = re.sub("[ ()]", "", suffix.replace("/", "_per_"))
     return f"{name}_{suffix}" if suffix else name
 
 

@@ -67,7 +67,7 @@ class TwoInertia:
     damping: Array = param("N m s/rad", "C", "damping of the shaft", shape=AXES, low=0.0)
     ratio: Array = param("rad/m", "S", "angle per travel of the tool", shape=AXES, above=0.0)
     copper_loss: Array = param(
-        "W/N2 m2", "k_cu", "copper loss per squared torque", shape=AXES, low=0.0
+        "W/(N2 m2)", "k_cu", "copper loss per squared torque", shape=AXES, low=0.0
     )
     friction: Lugre = part("friction on the load or the motor")
 

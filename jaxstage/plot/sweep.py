@@ -18,6 +18,10 @@ from jaxstage.plot.style import AXIS_COLOURS, LARGE, LOST, NORMAL, REFERENCE, SM
 
 #: points of a scatter that are drawn, of those that pass
 POINTS = 3000
+#: dots of fewer plants are larger
+FEW = 200
+#: slices whose medians are drawn, from so many plants on
+SLICES, MEDIANS_FROM = 12, 120
 #: bins of all samples together
 MOST_BINS = 400
 #: a figure that spans more than this ratio is drawn on a log axis
@@ -166,11 +170,7 @@ def parameters(
     order = sorted(columns, key=lambda name: -abs(correlations.get(name) or 0.0))
     across = min(4, len(order))
     rows = -(-len(order) // across)
-    text = (
-        "Each dot is one plant. rho: rank correlation, lost runs as the worst, the strongest "
-        "first; it sees a trend, not a valley. Black: median of twelve slices, or of each value. "
-        "Crosses do not meet the specification; triangles at the top were lost."
-    )
+    text = _legend(sample)
     if sheet.limit is not None and not _beside(sheet.limit, sample.values):
         text += f" The limit of {sheet.limit:g} is off the scale."
     title = f"{sample.name}: {sheet.label} against each uncertain value"
@@ -194,6 +194,20 @@ def parameters(
     return drawn
 
 
+def _legend(sample: Sample) -> str:
+    """What is drawn of the plants, and nothing that is not."""
+    lost = ~np.isfinite(sample.values)
+    text = (
+        "Each dot is one plant. rho: rank correlation, lost runs as the worst, the strongest "
+        "first; it sees a trend, not a valley."
+    )
+    if np.sum(~lost) >= MEDIANS_FROM:
+        text += f" Black: median of {SLICES} slices, or of each value."
+    if sample.passed is not None and np.any(~sample.passed & ~lost):
+        text += " Crosses do not meet the specification."
+    return text + (" Triangles at the top were lost." if lost.any() else "")
+
+
 def _beside(limit: float, values: np.ndarray) -> bool:
     """Whether a limit can be drawn with the values without squeezing them."""
     finite = values[np.isfinite(values)]
@@ -209,7 +223,7 @@ def _scatter(ax: Axes, x: np.ndarray, sample: Sample, finite: np.ndarray) -> Non
     good = np.flatnonzero(~failed & ~lost)
     shown = good[:: max(1, len(good) // POINTS)]
     ax.plot(
-        x[shown], sample.values[shown], linestyle="", marker=".", markersize=3,
+        x[shown], sample.values[shown], linestyle="", marker=".", markersize=3 + 4 * (len(x) < FEW),
         color=AXIS_COLOURS[0], alpha=0.5, rasterized=True,
     )  # fmt: skip
     bad = np.flatnonzero(failed)
@@ -227,14 +241,14 @@ def _scatter(ax: Axes, x: np.ndarray, sample: Sample, finite: np.ndarray) -> Non
     _medians(ax, x[~lost], finite)
 
 
-def _medians(ax: Axes, x: np.ndarray, y: np.ndarray, slices: int = 12) -> None:
-    if len(x) < 10 * slices or np.ptp(x) == 0:
+def _medians(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    if len(x) < MEDIANS_FROM or np.ptp(x) == 0:
         return
     few = np.unique(x)
     parts = (
         [np.flatnonzero(x == value) for value in few]
-        if len(few) <= slices
-        else np.array_split(np.argsort(x, kind="stable"), slices)
+        if len(few) <= SLICES
+        else np.array_split(np.argsort(x, kind="stable"), SLICES)
     )
     middle = [np.median(x[part]) for part in parts]
     ax.plot(middle, [np.median(y[part]) for part in parts], color=REFERENCE, linewidth=1.6)

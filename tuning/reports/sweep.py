@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
 from jaxstage.metrics.table import split_key
+from jaxstage.settings import plain_toml
+from tuning.gains_file import LAW
 from tuning.reports.page import Page, Table, answers, interval, number, pictures
 
 Found = Mapping[str, Any]
@@ -160,7 +160,7 @@ def _gains(table: Found) -> Iterator[tuple[str, str]]:
                     inner = inner.setdefault(name, {})
                 inner[field] = value
         if tree:
-            yield f"{loop['name']} gains.toml", tomli_w.dumps(tree)
+            yield f"{loop['name']} gains.toml", plain_toml({LAW: loop["law"], **tree})
 
 
 def _percent(share: Found | None) -> str:

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import tomli_w
 
 from jaxstage import __version__
 from jaxstage.batch import spread_axes
 from jaxstage.check import check
+from jaxstage.settings import plain_toml
 from jaxstage.studies import Case, find
 from tuning.blocks import with_max_delay
 from tuning.cases import case_of, case_table
@@ -89,7 +89,7 @@ def configure_sweep(request: Request) -> str:
     if request.precision not in ("single", "double"):
         raise ValueError(f"precision = '{request.precision}': must be single or double")
     with jax.enable_x64(request.precision == "double"):
-        text = tomli_w.dumps(_table(request))
+        text = plain_toml(_table(request))
         _check_draws(build(text))
     return text
 

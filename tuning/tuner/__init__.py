@@ -8,7 +8,8 @@ problem                values, gradients and Gauss-Newton matrices of many candi
 gradient_check         whether gradients can be trusted
 method                 what a method is: pure steps that ask an oracle
 levenberg_marquardt, lbfgs, first_order, cma, random_search
-prices, journal, tune  units, kept evaluations, budget, progress
+prices, journal        units, and kept evaluations
+ledger, tune           what was asked and what it cost; budget, progress
 
 Around it:
 options, training, sets, configuration     what the user asks for, as one table

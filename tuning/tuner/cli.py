@@ -46,7 +46,7 @@ def tune(
     method: Annotated[str, typer.Option(help="auto, lm, lbfgs, adam, cma or random.")] = "auto",
     starts: Annotated[int, typer.Option(help="Starting points; the first are the gains now.")] = 2,
     budget: Annotated[
-        float, typer.Option(help="Units: simulations of the whole training set.")
+        float, typer.Option(help="At most so many units: simulations of the whole training set.")
     ] = 2000.0,
     pareto: Annotated[
         bool, typer.Option("--pareto", help="Trade-offs of error, energy and chattering, too.")

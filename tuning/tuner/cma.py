@@ -5,11 +5,13 @@ Source: Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772, as i
 
 import copy
 import functools
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tuning.tuner.method import Method, Oracle
+from tuning.tuner.prices import Prices
 
 
 class CmaState(NamedTuple):
@@ -57,8 +59,13 @@ def _step(oracle: Oracle, state: CmaState) -> CmaState:
     return state._replace(optimisers=made, z=z, value=best, done=done)
 
 
+def _first(population: int | None, prices: Prices, n: int) -> float:
+    return 1 + (population or 4 + math.floor(3 * math.log(n)))
+
+
 @functools.cache
 def cma_es(sigma: float = 0.5, population: int | None = None) -> Method:
     """sigma: standard deviation of the first population, in z; population: None is 4 + 3 ln n."""
     begin = functools.partial(_begin, sigma, population)
-    return Method(name="cma", needs="", begin=begin, step=_step)
+    first = functools.partial(_first, population)
+    return Method(name="cma", needs="", first=first, begin=begin, step=_step)

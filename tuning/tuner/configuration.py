@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import tomli_w
 
 from jaxstage import __version__
 from jaxstage.metrics.table import key
-from jaxstage.settings import nearest_name
+from jaxstage.settings import nearest_name, plain_toml
 from jaxstage.studies import Case
 from tuning.cases import case_of, case_table
 from tuning.folders import Kind
 from tuning.runs import prepare
 from tuning.scenario_file import read_scenario
+from tuning.tuner.cma import cma_es
 from tuning.tuner.figures import available
 from tuning.tuner.objective import RISKS, Goal, Term, parse_goals
 from tuning.tuner.options import (
@@ -35,7 +35,7 @@ from tuning.tuner.sets import MOST_RUNS, Series, Wanted, same_law, scenarios, se
 from tuning.tuner.space import SearchSpace, default_searches, search_space
 from tuning.tuner.surrogate import NONE, SURROGATES
 from tuning.tuner.training import Asked, apart, read_sets, spreads_of
-from tuning.tuner.tune import AMONG, METHODS
+from tuning.tuner.tune import AMONG, METHODS, least_budget
 
 KIND = Kind("tune.toml", "tuning", ("jaxstage", "loop"))
 #: plants among which the worst are looked for
@@ -122,9 +122,10 @@ def configure_tuning(request: Request) -> str:
     for goal in request.goals:
         parse_goals(goal, columns)
     searches = asked_gains.searches or _default_searches(prepared.case)
-    search_space(prepared.case, [search_of(dict(one)) for one in searches])
+    space = search_space(prepared.case, [search_of(dict(one)) for one in searches])
+    _check_budget(request, space.size)
     held_out = _named_set("held_out", sets.held_out, asked)
-    return tomli_w.dumps({
+    return plain_toml({
         "jaxstage": __version__,
         "jax": jax.__version__,
         "loop": request.loop,
@@ -167,6 +168,18 @@ def _check_numbers(request: Request) -> None:
     ):
         if not least <= value <= most:
             raise ValueError(f"{name} {value}: must be {least}..{most}")
+
+
+def _check_budget(request: Request, n: int) -> None:
+    method = METHODS.get(request.method, cma_es)()
+    rounds = request.worst_case + 1
+    least = rounds * least_budget(method, n, request.starts)
+    if request.budget < least:
+        told = f", {rounds} rounds" if rounds > 1 else ""
+        raise ValueError(
+            f"--budget {request.budget:g}: must be {least}..1e6 units for a first step with {n} "
+            f"numbers, --starts {request.starts}{told}"
+        )
 
 
 def _blocks(scenario: Path | None) -> Mapping[str, Any]:

@@ -77,7 +77,7 @@ def effects(
 
 def diagnose(problem: Problem, tuned: Tuned, z: np.ndarray, case: Case) -> Diagnostics:
     """Diagnostics of a result. z: the gains chosen. case: the nominal loop."""
-    notes = []
+    notes = [tuned.note] if tuned.note else []
     check = tuned.check
     if check is None:
         notes.append("the gradient was not checked: the method does not use it")

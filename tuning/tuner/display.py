@@ -186,6 +186,7 @@ def _front(extras: Extras) -> Table:
         told = "suggested" if i == front.suggested else "" if kept else "beaten"
         rows.add_row(str(i), *map(_number, point), told)
     rows.caption = f"share of the box beaten: {front.volume:.3f}"
+    rows.caption += f"; {front.note}" if front.note else ""
     return rows
 
 

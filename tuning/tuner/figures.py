@@ -22,7 +22,7 @@ import numpy as np
 from jax import Array
 
 from jaxstage.blocks import Metric, Plant
-from jaxstage.fields import definition, in_units_of, leaves
+from jaxstage.fields import definition, in_units_of, leaves, pytree, signal
 from jaxstage.metrics import selected, together
 from jaxstage.metrics.moments import root
 from jaxstage.metrics.table import key
@@ -114,10 +114,11 @@ def recipe(case: Case, columns: Iterable[str]) -> Recipe:
     metrics = tuple(dict.fromkeys(known[n] for n in wanted if known[n] and n not in squares))
     kept = tuple(dict.fromkeys(squares[n] for n in wanted if n in squares))
     own = [pieces(kept, case.window)] if kept else []
-    own += [smooth_max(case.window)] if SMOOTH_MAX in wanted else []
     own += [growth(case.window.ticks)] if GROWTH in wanted else []
-    light = [scored(selected(case.metric, metrics), case.window)] if metrics else []
-    return Recipe(wanted, known, together(*light, *own))
+    light = [selected(case.metric, metrics)] if metrics else []
+    light += [smooth_max] if SMOOTH_MAX in wanted else []
+    own += [scored(together(*light), case.window)] if light else []
+    return Recipe(wanted, known, together(*own))
 
 
 def least_scale(column: str) -> tuple[str, float] | None:
@@ -164,7 +165,10 @@ class _Sums(NamedTuple):
 
 @functools.cache
 def pieces(squared: tuple[Squared, ...], window: Window) -> Metric:
-    """What each piece of the window adds to mean squares: name -> (pieces,), SI."""
+    """What each piece of the window adds to mean squares: name -> (pieces,), SI.
+
+    It looks at the window itself, and not through `scored`: the first change of the command in it
+    is from the period before."""
     ticks = window.stop - window.start
     length = -(-ticks // PIECES)
     count = -(-ticks // length)
@@ -189,37 +193,44 @@ def pieces(squared: tuple[Squared, ...], window: Window) -> Metric:
 
 
 class _Peaks(NamedTuple):
-    """largest: of the squares x so far, m2. power: sum of (x / largest)^(ORDER / 2). Both ()."""
+    """count: of the samples. largest: of the squares x so far, m2. power: sum of
+    (x / largest)^(ORDER / 2). All ()."""
 
+    count: Array
     largest: Array
     power: Array
 
 
-@functools.cache
-def smooth_max(window: Window) -> Metric:
-    """(mean eps^ORDER)^(1/ORDER) of the contour error over the window, m, (). It is summed up in
-    units of the largest error so far, which has no gradient of its own."""
-    ticks, half = window.stop - window.start, ORDER // 2
+@pytree
+class SmoothMax:
+    """The contour error, its peaks above all."""
 
-    def init(setpoint: Setpoint) -> _Peaks:
-        zero = jnp.zeros((), setpoint.position.dtype)
-        return _Peaks(zero, zero)
+    contour_smooth_max: Array = signal("m", "", "(mean eps^16)^(1/16)", shown="um")
 
-    def update(acc: _Peaks, sample: Sample, dt: float) -> tuple[_Peaks, None]:
-        inside = (sample.step >= window.start) & (sample.step < window.stop)
-        value = _contour(sample, sample.command) * inside
-        largest = jnp.maximum(acc.largest, jax.lax.stop_gradient(value))
-        safe = jnp.where(largest > 0, largest, jnp.ones_like(largest))
-        power = acc.power * (acc.largest / safe) ** half + (value / safe) ** half
-        return _Peaks(largest, power), None
 
-    def finish(acc: _Peaks) -> Array:
-        some = acc.power > 0
-        safe = jnp.where(some, acc.power / ticks, jnp.ones_like(acc.power))
-        mean = jnp.where(some, safe ** (1 / ORDER), jnp.zeros_like(safe))
-        return mean * root(acc.largest)
+def _no_peaks(setpoint: Setpoint) -> _Peaks:
+    zero = jnp.zeros((), setpoint.position.dtype)
+    return _Peaks(zero, zero, zero)
 
-    return Metric(name="smooth_max", init=init, update=update, finish=finish)
+
+def _with_peak(acc: _Peaks, sample: Sample, dt: float) -> tuple[_Peaks, None]:
+    """Summed up in units of the largest error so far, which has no gradient of its own."""
+    value, half = _contour(sample, sample.command), ORDER // 2
+    largest = jnp.maximum(acc.largest, jax.lax.stop_gradient(value))
+    safe = jnp.where(largest > 0, largest, jnp.ones_like(largest))
+    power = acc.power * (acc.largest / safe) ** half + (value / safe) ** half
+    return _Peaks(acc.count + 1, largest, power), None
+
+
+def _smooth_maximum(acc: _Peaks) -> SmoothMax:
+    some = acc.power > 0
+    safe = jnp.where(some, acc.power / acc.count, jnp.ones_like(acc.power))
+    mean = jnp.where(some, safe ** (1 / ORDER), jnp.zeros_like(safe))
+    return SmoothMax(contour_smooth_max=mean * root(acc.largest))
+
+
+#: (mean eps^ORDER)^(1/ORDER) of the contour error; report `SmoothMax`.
+smooth_max = Metric(name="smooth_max", init=_no_peaks, update=_with_peak, finish=_smooth_maximum)
 
 
 @functools.cache
@@ -277,8 +288,6 @@ def measure(case: Case, made: Recipe, report: Any) -> Measured:
         if name in squares:
             found[name] = root(report["pieces"][squares[name].name]) * squares[name].scale
             table[name] = root(jnp.sum(found[name] ** 2, axis=-1))
-    if SMOOTH_MAX in made.columns:
-        table[SMOOTH_MAX] = report["smooth_max"] * 1e6
     if GROWTH in made.columns:
         table[GROWTH] = report["growth"]
     return Measured({name: table[name] for name in made.columns}, found)

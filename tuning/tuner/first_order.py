@@ -7,6 +7,7 @@ import numpy as np
 import optax
 
 from tuning.tuner.method import Method, Oracle
+from tuning.tuner.prices import Prices
 
 
 class FirstOrderState(NamedTuple):
@@ -53,11 +54,15 @@ def _step(
     )  # fmt: skip
 
 
+def _first(prices: Prices, n: int) -> float:
+    return 2 * prices.gradient
+
+
 @functools.cache
 def first_order(make: Any = optax.adam, rate: float = 0.1) -> Method:
     """make(rate) -> an optimiser of optax."""
     optimiser = make(rate)
     return Method(
-        name=f"{make.__name__}", needs="slopes", begin=functools.partial(_begin, optimiser),
-        step=functools.partial(_step, optimiser),
+        name=f"{make.__name__}", needs="slopes", first=_first,
+        begin=functools.partial(_begin, optimiser), step=functools.partial(_step, optimiser),
     )  # fmt: skip

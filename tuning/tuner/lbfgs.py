@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tuning.tuner.method import Method, Oracle
+from tuning.tuner.prices import Prices
 
 #: what a step must give of the first-order promise (Armijo)
 ENOUGH = 1e-4
@@ -151,9 +152,14 @@ def _failed(state: LbfgsState, k: int) -> LbfgsState:
     return state._replace(pairs=pairs, done=done)
 
 
+def _first_units(prices: Prices, n: int) -> float:
+    return prices.gradient + len(FIRST)
+
+
 @functools.cache
 def lbfgs(memory: int = 20, radius: float = 2.0) -> Method:
     """memory: pairs that are kept; radius: longest step, in z."""
     return Method(
-        name="lbfgs", needs="slopes", begin=_begin, step=functools.partial(_step, memory, radius)
-    )
+        name="lbfgs", needs="slopes", first=_first_units, begin=_begin,
+        step=functools.partial(_step, memory, radius),
+    )  # fmt: skip

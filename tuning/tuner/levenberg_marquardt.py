@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tuning.tuner.method import Method, Oracle
+from tuning.tuner.prices import Prices
 from tuning.tuner.problem import Curvatures
 
 #: radii that are tried together, as factors on the radius of the state
@@ -179,10 +180,14 @@ def _refreshed(oracle: Oracle, state: LmState, moved: np.ndarray) -> LmState:
     return LmState(z, value, gradient, matrix, residual, radius, norm, done)
 
 
+def _first(prices: Prices, n: int) -> float:
+    return prices.curvature + len(FACTORS)
+
+
 @functools.cache
 def levenberg_marquardt(radius: float = 1.0, largest: float = 4.0) -> Method:
     """radius: of the first step, in z; largest: of any."""
     return Method(
-        name="lm", needs="curvatures", begin=functools.partial(_begin, radius),
-        step=functools.partial(_step, largest),
+        name="lm", needs="curvatures", first=_first,
+        begin=functools.partial(_begin, radius), step=functools.partial(_step, largest),
     )  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxstage.fields import definition
+from tuning.tuner.prices import Prices
 from tuning.tuner.problem import Curvatures, Slopes
 
 
@@ -34,9 +35,11 @@ State = Any
 class Method:
     """begin(oracle, starts (k, n), seed) -> state; step(oracle, state) -> state.
 
-    needs: what it asks the oracle beside values: "", "slopes" or "curvatures"."""
+    needs: what it asks the oracle beside values: "", "slopes" or "curvatures". first(prices, n):
+    units of a start of n parameters until its first step is tried."""
 
     name: str
     needs: str
+    first: Callable[[Prices, int], float]
     begin: Callable[[Oracle, np.ndarray, int], State]
     step: Callable[[Oracle, State], State]

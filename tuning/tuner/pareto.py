@@ -33,7 +33,7 @@ class Front(NamedTuple):
     """Trade-offs. columns: (m,) names. weights: (k, m), row 0 NaN: the tuned gains. points: (k, m),
     mean figures. kept: (k,) bool, on the front. suggested: row. before: (m,). volume: share of the
     box from the best of each figure to the reference that the front beats. gains: of each row.
-    units: spent."""
+    units: spent. note: why CMA-ES searched in place of the method that was asked for, or empty."""
 
     columns: tuple[str, ...]
     weights: np.ndarray
@@ -45,6 +45,7 @@ class Front(NamedTuple):
     volume: float
     gains: tuple[Any, ...]
     units: float
+    note: str
 
 
 def trade_off_columns(plan: Plan) -> tuple[str, ...]:
@@ -91,6 +92,7 @@ def pareto(outcome: Outcome, budget: float, folder: Path | None) -> Front:
         volume=hypervolume(points, reference) / float(np.prod(reference - ideal)),
         gains=tuple(problem.space.gains_of(jnp.asarray(one)) for one in z),
         units=found.units,
+        note=found.note,
     )
 
 

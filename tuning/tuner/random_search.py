@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tuning.tuner.method import Method, Oracle
+from tuning.tuner.prices import Prices
 
 
 class RandomState(NamedTuple):
@@ -40,8 +41,12 @@ def _step(sigma: float, batch: int, oracle: Oracle, state: RandomState) -> Rando
     )
 
 
+def _first(batch: int, prices: Prices, n: int) -> float:
+    return 1 + batch
+
+
 @functools.cache
 def random_search(sigma: float = 1.0, batch: int = 16) -> Method:
     """sigma: standard deviation of the points around the start, in z; batch: points a step."""
-    step = functools.partial(_step, sigma, batch)
-    return Method(name="random", needs="", begin=_begin, step=step)
+    first, step = functools.partial(_first, batch), functools.partial(_step, sigma, batch)
+    return Method(name="random", needs="", first=first, begin=_begin, step=step)

@@ -173,6 +173,7 @@ def front_object(front: Front | None) -> dict[str, Any] | None:
         "hypervolume": number(front.volume),
         "reference": row(front.reference),
         "units": rounded(front.units),
+        "note": front.note or None,
     }  # fmt: skip
 
 
@@ -202,6 +203,7 @@ def gains_text(outcome: Outcome, gains: Any = None, remark: str = "") -> str:
     verdict = verdict or [f"held out: {verdict_text(outcome.held_out)}"]
     entries = outcome.problem.space.entries
     return to_text(
+        outcome.plan.case,
         outcome.chosen.gains if gains is None else gains,
         [TunedGain(e.path, e.symbol, e.unit, e.low, e.high, e.before) for e in entries],
         [

@@ -164,7 +164,7 @@ def _changed(
 ) -> tuple[Case, tuple[str, ...]]:
     """The case with another load and start, and the paths that differ."""
     given = {f"load.{k}": v for k, v in load.items()} | {f"start.{k}": v for k, v in start.items()}
-    _, scenario, paths = apply((), case.scenario, given)
+    _, scenario, _, paths = apply((), case.scenario, given)
     return case._replace(scenario=scenario), paths
 
 
@@ -196,7 +196,7 @@ def _plants(case: Case, table: Mapping[str, Any]) -> tuple[dict[str, np.ndarray]
 def _possible(case: Case, values: Mapping[str, np.ndarray]) -> bool:
     """Whether a machine with these values is within the ranges of its fields."""
     plain = {path: value for path, value in values.items() if not path.startswith("reference.")}
-    _, scenario, _ = apply((), case.scenario, plain)
+    _, scenario, _, _ = apply((), case.scenario, plain)
     try:
         for name in SCENARIO_PARTS:
             tree = getattr(scenario, name)

@@ -1,10 +1,12 @@
 """From gains that work to gains that work better: method, budget, progress, kept evaluations.
 
 A unit is one evaluation of the objective in all training runs; gradients and Jacobians are charged
-as `prices` says. The same problem, method, seed, starts and prices give the same result to the last
-bit on the same machine, in one go or stopped and taken up again (`journal`).
+as `prices` says. What would go beyond the budget is not asked. The same problem, method, seed,
+starts and prices give the same result to the last bit on the same machine, in one go or stopped and
+taken up again (`journal`).
 """
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,12 +20,13 @@ from tuning.tuner import problem as problems
 from tuning.tuner.cma import cma_es
 from tuning.tuner.first_order import first_order
 from tuning.tuner.gradient_check import STEPS, GradientCheck, directions_of, judged
-from tuning.tuner.journal import Answer, digest, fingerprint, keep
+from tuning.tuner.journal import digest, fingerprint, keep
 from tuning.tuner.lbfgs import lbfgs
+from tuning.tuner.ledger import Best, BeyondBudget, Ledger, ask_all, kept, make_oracle, values_of
 from tuning.tuner.levenberg_marquardt import levenberg_marquardt
 from tuning.tuner.method import Method, Oracle
 from tuning.tuner.prices import Prices, measure_prices
-from tuning.tuner.problem import Curvatures, Problem, Slopes
+from tuning.tuner.problem import Problem
 from tuning.tuner.random_search import random_search
 
 #: up to so many parameters Levenberg-Marquardt, beyond them L-BFGS
@@ -77,7 +80,8 @@ class StartResult(NamedTuple):
 
 
 class Tuned(NamedTuple):
-    """before, after: J. feasible: no training run is lost and every goal is met. ended: why."""
+    """before, after: J. feasible: no training run is lost and every goal is met. ended: why. note:
+    why CMA-ES searched in place of the method that was asked for, or empty."""
 
     method: str
     n: int
@@ -94,99 +98,7 @@ class Tuned(NamedTuple):
     starts: tuple[StartResult, ...]
     history: tuple[Progress, ...]
     ended: str
-
-
-class _Best(NamedTuple):
-    """The best of the candidates of a start."""
-
-    z: np.ndarray
-    objective: float
-    violation: float
-
-    def key(self) -> tuple[float, float]:
-        """Smaller is better: first what is missed, then J."""
-        return max(self.violation, 0.0), self.objective
-
-
-class _Ledger(NamedTuple):
-    """What a tuning has asked so far; it fills while it runs. costs: (units, seconds) of every
-    question. known: answers of this process by question."""
-
-    folder: Path | None
-    prices: Prices
-    starts: int
-    costs: list[tuple[float, float]]
-    best: dict[int, _Best]
-    known: dict[str, Answer]
-
-    @property
-    def units(self) -> float:
-        """Units spent."""
-        return sum(units for units, _ in self.costs)
-
-    @property
-    def seconds(self) -> float:
-        """Seconds of evaluation, those of an earlier process included."""
-        return sum(seconds for _, seconds in self.costs)
-
-
-def _kept(ledger: _Ledger, question: str, units: float, answer: Callable[[], Answer]) -> Answer:
-    """The answer to a question, asked and charged only once."""
-    if question not in ledger.known:
-        index = len(ledger.costs) + FIRST
-        ledger.known[question], seconds = keep(ledger.folder, index, question, answer)
-        ledger.costs.append((units, seconds))
-    return ledger.known[question]
-
-
-#: questions kept before those of the search: what is tuned, and the prices
-FIRST = 2
-
-
-def _ask(
-    ledger: _Ledger, problem: Problem, ask: Callable[..., Any], price: float, z: np.ndarray,
-    rows: np.ndarray,
-) -> Answer:  # fmt: skip
-    """What ``ask`` says of candidates z (m, n) of starts ``rows``; the best are remembered."""
-    question = digest(ask.__name__, problem.penalty, z, rows.astype(np.int64))
-    found = _kept(ledger, question, len(z) * price, lambda: ask(problem, z, rows))
-    for i, row in enumerate(map(int, rows)):
-        own = _Best(z[i], float(found["objective"][i]), float(found["violation"][i]))
-        if row not in ledger.best or own.key() < ledger.best[row].key():
-            ledger.best[row] = own
-    return found
-
-
-def _values(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
-    found = problems.evaluate(problem, z, rows)
-    return {"objective": found.objective, "violation": found.violation, "costs": found.costs}
-
-
-def _oracle(ledger: _Ledger, problem: Problem) -> Oracle:
-    prices = ledger.prices
-
-    def filled(z: np.ndarray, rows: np.ndarray, ask: Callable[..., Any]) -> Answer:
-        """All starts in one call, so that one program does, however many of them move."""
-        full = np.minimum(np.arange(max(ledger.starts, len(z))), len(z) - 1)
-        found = ask(problem, z[full], rows[full])
-        return {name: x[: len(z)] for name, x in found._asdict().items()}
-
-    def reverse(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
-        return filled(z, rows, problems.slopes)
-
-    def forward(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
-        return filled(z, rows, problems.curvatures)
-
-    def values(z: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        return _ask(ledger, problem, _values, 1.0, z, rows)["objective"]
-
-    def slopes(z: np.ndarray, rows: np.ndarray) -> Slopes:
-        return Slopes(**_ask(ledger, problem, reverse, prices.gradient, z, rows))
-
-    def curvatures(z: np.ndarray, rows: np.ndarray) -> Curvatures:
-        return Curvatures(**_ask(ledger, problem, forward, prices.curvature, z, rows))
-
-    return Oracle(values, slopes, curvatures)
+    note: str
 
 
 def tune(
@@ -199,18 +111,20 @@ def tune(
     method: None chooses: by the number of parameters, and by a check of the gradients, CMA-ES where
     it fails; with few parameters what a descent leaves of the budget goes to CMA-ES from its best
     point, which passes kinks where no gradient leads on. starts: how many, the first the gains
-    before, or their z (k, n). budget: units; the step under way is finished. prices: None measures
-    them. journal: folder that keeps every evaluation; given again, the tuning goes on where it was
-    stopped. watch: called after each step.
+    before, or their z (k, n). budget: units, never overrun; where it does not pay for the first
+    step of the method, CMA-ES searches, and `note` says so. prices: None measures them. journal:
+    folder that keeps every evaluation; given again, the tuning goes on where it was stopped. watch:
+    called after each step.
 
-    Raises ValueError for an impossible budget or number of starts, and for a journal of something
-    else.
+    Raises ValueError for a budget that does not pay for the values of the starts, an impossible
+    number of starts, and for a journal of something else.
     """
-    if not budget > 0:
-        raise ValueError(f"budget = {budget:g}: must be > 0 units")
     count = starts if isinstance(starts, int) else len(starts)
     if not 1 <= count <= AMONG:
         raise ValueError(f"starts = {count}: must be 1..{AMONG}")
+    screened = AMONG if isinstance(starts, int) and starts > 1 else 0
+    if not budget >= screened + count:
+        raise ValueError(f"budget = {budget:g}: must be >= {screened + count} units")
     few = problem.space.size <= FEW
     chosen = method or (levenberg_marquardt() if few else lbfgs())
     told = starts if isinstance(starts, int) else np.ascontiguousarray(starts, float)
@@ -218,21 +132,41 @@ def tune(
     question = digest(fingerprint(problem), chosen.name, method is None, told, seed, told_prices)
     keep(journal, 0, question, dict)
     prices = prices or _kept_prices(problem, chosen, count, journal)
-    ledger = _Ledger(journal, prices, count, [], {}, {})
-    oracle = _oracle(ledger, problem)
+    ledger = Ledger(budget, journal, prices, count, [], {}, {})
+    oracle = make_oracle(ledger, problem)
     begun = _starts(oracle, problem, starts, seed)
-    check = None
-    if method is None:
+    check, size = None, problem.space.size
+    before = screened + (_price_of_check(prices, size, count) if method is None else 0)
+    chosen, note = _affordable(chosen, before + count * chosen.first(prices, size), budget)
+    if method is None and not note:
         check = _check(ledger, problem, begun[0], seed)
         chosen = chosen if check.ok else cma_es()
     history: list[Progress] = []
-    ended = _search(ledger, problem, chosen, begun, seed, budget, watch, history)
+    ended = _search(ledger, problem, chosen, begun, seed, watch, history)
     ends = tuple(ledger.best[k] for k in range(count))
     if method is None and few and chosen.needs and ledger.units < budget:
-        best = min(ends, key=_Best.key).z[None]
-        ended = _search(ledger, problem, cma_es(POLISH), best, seed, budget, watch, history)
+        best = min(ends, key=Best.key).z[None]
+        ended = _search(ledger, problem, cma_es(POLISH), best, seed, watch, history)
     results = tuple(StartResult(z, *end) for z, end in zip(begun, ends, strict=True))
-    return _result(problem, chosen, ledger, results, check, history, ended)
+    return _result(problem, chosen, ledger, results, check, history, ended, note)
+
+
+def _affordable(method: Method, least: float, budget: float) -> tuple[Method, str]:
+    """The method, or CMA-ES and a note where the budget does not pay for a gradient method's first
+    step. least: units until then."""
+    if not method.needs or least <= budget:
+        return method, ""
+    return cma_es(), (
+        f"the first step of {method.name} costs {math.ceil(least)} units, more than the budget: "
+        "CMA-ES searched"
+    )
+
+
+def least_budget(method: Method, n: int, starts: int) -> int:
+    """The budget that pays for the first step of a method without gradients, which n parameters
+    are searched by from so many starts. Other methods fall back on CMA-ES."""
+    first = (method if not method.needs else cma_es()).first
+    return math.ceil(AMONG + starts * first(Prices(math.nan, math.nan, math.nan), n))
 
 
 def _kept_prices(problem: Problem, method: Method, starts: int, journal: Path | None) -> Prices:
@@ -262,16 +196,22 @@ def sobol_normal(seed: int, count: int, size: int) -> np.ndarray:
     return ndtri(np.clip(sobol_rows(seed, count, size, 0, count), TAIL, 1 - TAIL))
 
 
-def _check(ledger: _Ledger, problem: Problem, z: np.ndarray, seed: int) -> GradientCheck:
+def _price_of_check(prices: Prices, size: int, starts: int) -> float:
+    """Units of `_check`; its Jacobian is the one that a search from one start begins with."""
+    jacobian = prices.curvature if starts > 1 else 0.0
+    return 2 * DIRECTIONS * len(STEPS) + (jacobian if size <= FEW else DIRECTIONS)
+
+
+def _check(ledger: Ledger, problem: Problem, z: np.ndarray, seed: int) -> GradientCheck:
     """The check of the gradients at the first start. What it asks is kept and charged: differences
     as evaluations, slopes along directions as one each."""
     along = directions_of(len(z), DIRECTIONS, seed)
     if len(z) <= FEW:
-        found = _oracle(ledger, problem).curvatures(z[None], np.zeros(1, int))
+        found = make_oracle(ledger, problem).curvatures(z[None], np.zeros(1, int))
         slopes = along @ found.of_runs[0].T
     else:
         question = digest("directional", z, along)
-        slopes = _kept(
+        slopes = kept(
             ledger, question, float(DIRECTIONS),
             lambda: {"slopes": problems.directional(problem, z, along)},
         )["slopes"]  # fmt: skip
@@ -279,53 +219,67 @@ def _check(ledger: _Ledger, problem: Problem, z: np.ndarray, seed: int) -> Gradi
     for step in STEPS:
         ends = np.concatenate([z + step * along, z - step * along])
         rows = np.full(len(ends), SCREENING)
-        costs = _ask(ledger, problem, _values, 1.0, ends, rows)["costs"]
+        costs = ask_all(ledger, problem, values_of, 1.0, ends, rows)["costs"]
         differences.append((costs[:DIRECTIONS] - costs[DIRECTIONS:]).T / (2 * step))
     return judged(problem.run_names, slopes.T, differences)
 
 
 def _search(
-    ledger: _Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int, budget: float,
+    ledger: Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
     watch: Callable[[Progress], None], history: list[Progress],
 ) -> str:  # fmt: skip
-    """Step until the budget is spent or all starts are at their end; which of them it was.
+    """Step until all starts are at their end or the budget is; which of them it was.
 
-    history: every step is added to it."""
-    state = method.begin(_oracle(ledger, problem), begun, seed)
-    while True:
-        history.append(_progress(ledger, state, len(history), budget))
+    history: every step is added to it, and what was still tried of one that could not be paid."""
+
+    def tell(norms: np.ndarray) -> None:
+        history.append(_progress(ledger, norms, len(history)))
         watch(history[-1])
-        if ledger.units >= budget:
-            return "the budget is spent"
+
+    try:
+        return _steps(ledger, problem, method, begun, seed, tell)
+    except BeyondBudget:
+        if history[-1].units < ledger.units:
+            tell(np.full(len(begun), np.nan))
+        return "the budget does not pay for the next step"
+
+
+def _steps(
+    ledger: Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
+    tell: Callable[[np.ndarray], None],
+) -> str:  # fmt: skip
+    state = method.begin(make_oracle(ledger, problem), begun, seed)
+    while True:
+        tell(state.gradient_norm)
         if np.all(state.done):
             missed = problem.goals and min(b.key()[0] for b in ledger.best.values()) > 0
             if not missed or problem.penalty * HARDER > HARDEST:
                 return "no start finds anything better"
             problem = problem._replace(penalty=problem.penalty * HARDER)
             again = np.stack([ledger.best[row].z for row in range(len(begun))])
-            state = method.begin(_oracle(ledger, problem), again, seed)
+            state = method.begin(make_oracle(ledger, problem), again, seed)
             continue
-        if ledger.units > TRIED * budget and len(problem.weights) == 1:
+        if ledger.units > TRIED * ledger.budget and len(problem.weights) == 1:
             state = state._replace(done=state.done | (state.value > BEHIND * np.min(state.value)))
-        state = method.step(_oracle(ledger, problem), state)
+        state = method.step(make_oracle(ledger, problem), state)
 
 
-def _progress(ledger: _Ledger, state: Any, step: int, budget: float) -> Progress:
-    best = min(ledger.best.values(), key=_Best.key)
-    norms = state.gradient_norm[np.isfinite(state.gradient_norm)]
-    left = max(budget - ledger.units, 0.0) * ledger.seconds / max(ledger.units, 1.0)
+def _progress(ledger: Ledger, norms: np.ndarray, step: int) -> Progress:
+    best = min(ledger.best.values(), key=Best.key)
+    norms = norms[np.isfinite(norms)]
+    left = (ledger.budget - ledger.units) * ledger.seconds / max(ledger.units, 1.0)
     return Progress(
-        step=step, units=ledger.units, budget=budget, seconds=ledger.seconds, left_s=left,
+        step=step, units=ledger.units, budget=ledger.budget, seconds=ledger.seconds, left_s=left,
         best=best.objective, gradient_norm=float(np.min(norms)) if len(norms) else np.nan,
         violation=best.violation, z=best.z,
     )  # fmt: skip
 
 
 def _result(
-    problem: Problem, method: Method, ledger: _Ledger, starts: tuple[StartResult, ...],
-    check: GradientCheck | None, history: list[Progress], ended: str,
+    problem: Problem, method: Method, ledger: Ledger, starts: tuple[StartResult, ...],
+    check: GradientCheck | None, history: list[Progress], ended: str, note: str,
 ) -> Tuned:  # fmt: skip
-    best = min(ledger.best.values(), key=_Best.key)
+    best = min(ledger.best.values(), key=Best.key)
     assert problem.before is not None
     gains = problem.space.gains_of(jnp.asarray(best.z))
     return Tuned(
@@ -333,4 +287,5 @@ def _result(
         before=float(problem.before.objective[0]), after=best.objective, violation=best.violation,
         feasible=best.violation <= 0, units=ledger.units, seconds=ledger.seconds,
         prices=ledger.prices, check=check, starts=starts, history=tuple(history), ended=ended,
+        note=note,
     )  # fmt: skip

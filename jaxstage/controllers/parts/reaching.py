@@ -53,7 +53,7 @@ class AdaptiveGain:
     """Parameters of `adaptive` and `adaptive_floored`."""
 
     start: Array = gain("1/s", "K0", "reaching gain at the start", low=0.0)
-    rate: Array = gain("1/m s", "kbar", "adaptation rate", low=0.0)
+    rate: Array = gain("1/(m s)", "kbar", "adaptation rate", low=0.0)
     dead_zone: Array = gain("m/s", "eps", "|s| below which K falls", low=0.0, shown="mm/s")
     floor: Array = gain("1/s", "alpha", "K at which it no longer falls", low=0.0)
     recovery: Array = gain("1/s2", "mu", "rate of K at the floor", low=0.0)
