@@ -282,10 +282,26 @@ def test_a_lost_run_is_flagged_and_leaves_no_trace_in_a_gradient():
         result = many(c, compiled, g)
         return jnp.sum(jnp.where(js.lost(result.final), 0.0, result.report.ate))
 
-    slope = jax.grad(total)(wild)
+    slope, calm = jax.grad(total)(wild), jax.grad(total)(gains)
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(slope))
     assert float(jnp.abs(slope.velocity_gain[0]).max()) > 0
     assert not np.any(slope.velocity_gain[1])
+    others = np.array([0, 2])  # a lost run makes the tape of its vector useless, not their gradients
+    close(*(jax.tree.map(lambda x: x[others], g) for g in (calm, slope)), 1e-12)
+
+
+def test_gradients_of_runs_that_go_through_time_together():
+    c = case("pi-circle")
+    gains = spread(c.gains, 40)
+    one = program(c)
+    made = kernel(one, "pullback", shared_by_all(one), (0, 1))
+    assert "TOGETHER = 4;" in made.text(8) and "TOGETHER = 1;" in made.text(3)
+
+    def slopes(gains):
+        return jax.jit(jax.vmap(jax.grad(lambda g: run(c, compiled, g, ticks=12).report.ate)))(gains)
+
+    found, few = slopes(gains), slopes(jax.tree.map(lambda x: x[-3:], gains))
+    close(few, jax.tree.map(lambda x: x[-3:], found), 1e-12)
 
 
 def test_a_broken_start_is_lost_at_once():

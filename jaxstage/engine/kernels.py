@@ -7,9 +7,9 @@ the cotangents G of the carry. The lanes are a multiple of a vector.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from jaxstage.engine.assuming import assuming
 from jaxstage.engine.lowering import Layout, Lowered, cells, flat, layout, lower
 from jaxstage.engine.node import Node, kind_of, ordered
 from jaxstage.engine.parts import RUN
@@ -20,22 +20,18 @@ from jaxstage.engine.program import (
     row_structure,
     tangent_jaxpr,
 )
-from jaxstage.engine.source import (
-    Function,
-    Source,
-    function_of,
-    handler,
-    heading,
-    source_of,
-    text_of,
-)
-from jaxstage.engine.stores import COPY, Store, guarded
+from jaxstage.engine.reverse import BODY, tape_of
+from jaxstage.engine.reverse import texts as reverse_texts
+from jaxstage.engine.source import Source, handler, heading, source_of, text_of
+from jaxstage.engine.statements import copies, write
+from jaxstage.engine.stores import COPY, Store
 
-#: vectors of runs that go through time together, where there are so many: while one waits for a
-#: result, the others compute
+#: the most vectors of runs that go through time together: while one waits for a result, the others
+#: compute
 TOGETHER = 4
-#: operations of a tick up to which they do: more keep a processor busy alone, and compile long
-INTERLEAVED = 1000
+#: operations of a tick up to which four do, and two: more keep a processor busy alone, and compile
+#: long. Derivatives, which are as busy, have nothing to gain by two.
+FOUR, TWO = 1000, 2500
 
 
 class Kernel(NamedTuple):
@@ -65,15 +61,27 @@ def kernel(
 
 
 def _texts(
-    source: Source, functions: dict[str, Function], nodes: int, head: str, body: str
+    source: Source, functions: Callable[[int], str], together: int, head: str, body: str
 ) -> dict[int, str]:
-    """The texts of a kernel of so many operations a tick. body: of the handler."""
+    """The texts of a kernel, for one vector at a time and several. functions: C++ by the number of
+    vectors; body: of the handler."""
 
     def text(together: int) -> str:
-        made = [text_of(source, name, f, together) for name, f in functions.items()]
-        return "".join((heading(source, together), *made, handler(source, head, body)))
+        made = functions(together)
+        return "".join((heading(source, together), made, handler(source, head, body)))
 
-    return {n: text(n) for n in ({1, TOGETHER} if nodes <= INTERLEAVED else {1})}
+    return {n: text(n) for n in {1, together}}
+
+
+def _together(nodes: int, derivative: bool) -> int:
+    if nodes <= FOUR:
+        return TOGETHER
+    return 2 if nodes <= TWO and not derivative else 1
+
+
+def _stepping(source: Source, stores: list[Store]) -> Callable[[int], str]:
+    lines = write(stores, cells(source.where), source.hoisted.known, source.low.single)
+    return lambda together: text_of(source, "step", copies(lines, together), together)
 
 
 def _forward(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -> Kernel:
@@ -89,13 +97,13 @@ def _forward(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
     for (int u = 0; u < TOGETHER; u++) begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
     for (int64_t t = 0; t < N; t++)
       step(c, ci, 0, 0, h, hi, R + t * NR, RI + t * NRI, rows + t * {counts["row"]} * NB + b,
-           rowsi + t * {counts["rowi"]} * NB + b, NB{source.passed});
+           rowsi + t * {counts["rowi"]} * NB + b, NB{source.tables});
     for (int u = 0; u < TOGETHER; u++) end(b + u * LANES, c[u], ci[u]);
   }}"""
     head = "real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
     head += "  real* rows = out<real>(frame, 2); int32_t* rowsi = out<int32_t>(frame, 3);"
     nodes = _work(stores)
-    texts = _texts(source, {"step": function_of(source, stores)}, nodes, head, body)
+    texts = _texts(source, _stepping(source, stores), _together(nodes, False), head, body)
     return Kernel(texts, low, where, rows, counts, nodes)
 
 
@@ -116,7 +124,7 @@ def _tangent(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
       for (int i = 0; i < ND; i++) d[u][i] = load(D + i * NB + b + u * LANES);
     }}
     for (int64_t t = 0; t < N; t++)
-      step(c, ci, d, 0, h, hi, R + t * NR, RI + t * NRI, 0, 0, NB{source.passed});
+      step(c, ci, d, 0, h, hi, R + t * NR, RI + t * NRI, 0, 0, NB{source.tables});
     for (int u = 0; u < TOGETHER; u++) {{
       end(b + u * LANES, c[u], ci[u]);
       for (int i = 0; i < ND; i++) store(D1 + i * NB + b + u * LANES, d[u][i]);
@@ -127,7 +135,7 @@ def _tangent(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
     head += "  real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
     head += "  real* D1 = out<real>(frame, 2);"
     nodes = _work(stores)
-    texts = _texts(source, {"step": function_of(source, stores)}, nodes, head, body)
+    texts = _texts(source, _stepping(source, stores), _together(nodes, True), head, body)
     return Kernel(texts, low, where, {}, {}, nodes)
 
 
@@ -145,69 +153,20 @@ def _pullback(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) 
         if not (node.op == "const" and node.value == 0)
     ]
     back += _derived(program, where, results[len(moving) :], "g", "g")
-    condition = _guard(step, where)
-    usual = None if condition is None else assuming(low.graph, back, condition)
-    source = source_of(program, low, where, [*step, *back, *(usual or [])])
-    body = _REVERSE.format(
-        borders=source.borders, passed=source.passed, call="R + k * NR, RI + k * NRI"
+    tape = tape_of(low.graph, step, back, cells(where))
+    usual = [] if tape is None else [*tape.step, *tape.back]
+    source = source_of(program, low, where, [*step, *back, *usual])
+    body = BODY.format(
+        borders=source.borders, tables=source.tables, call="R + k * NR, RI + k * NRI"
     )
     first = 8 + len(low.tables)
     head = f"const real* G = in<real>(frame, {first});\n"
     head += "  real *A1 = out<real>(frame, 0), *G1 = out<real>(frame, 1), *C1 = 0;\n"
     head += "  int32_t* CI1 = 0;"
-    functions = {
-        "step": function_of(source, step),
-        "back": function_of(source, back, condition, usual),
-    }
     nodes = _work(step + back)
-    return Kernel(_texts(source, functions, nodes, head, body), low, where, {}, {}, nodes)
-
-
-def _guard(stores: list[Store], where: Layout) -> Node | None:
-    """The condition under which most cells change, or None."""
-    groups, _ = guarded(stores, cells(where))
-    return max(groups, key=len)[0].where if groups else None
-
-
-#: forward once, keeping every L-th carry; then stretch by stretch forward again and back
-_REVERSE = """
-  const int64_t L = std::max<int64_t>(1, (int64_t)std::sqrt((double)N)), M = (N + L - 1) / L;
-  const size_t room = sizeof(State);
-  State* kept = (State*)std::aligned_alloc(64, room * (M + L + 1));
-  if (!kept) return failed(frame, "no memory for the checkpoints of a gradient");
-  State* stretch = kept + M;
-  {borders}
-  for (int64_t b = 0; b < NB; b += TOGETHER * LANES) {{
-    vec h[TOGETHER][NH], c[TOGETHER][NC], g[TOGETHER][ND], a[TOGETHER][NA];
-    ints hi[TOGETHER][NHI], ci[TOGETHER][NCI];
-    for (int u = 0; u < TOGETHER; u++) {{
-      begin(b + u * LANES, h[u], hi[u], c[u], ci[u]);
-      for (int i = 0; i < ND; i++) g[u][i] = load(G + i * NB + b + u * LANES);
-      for (int i = 0; i < NA; i++) a[u][i] = all(0);
-    }}
-    for (int64_t k = 0; k < N; k++) {{
-      if (k % L == 0) keep(kept[k / L], c, ci);
-      if (k < (M - 1) * L) step(c, ci, 0, 0, h, hi, {call}, 0, 0, NB{passed});
-      else break;
-    }}
-    for (int64_t q = M - 1; q >= 0; q--) {{
-      const int64_t end = std::min(N, (q + 1) * L);
-      take(kept[q], c, ci);
-      for (int64_t k = q * L; k < end; k++) {{
-        keep(stretch[k - q * L], c, ci);
-        if (k + 1 < end) step(c, ci, 0, 0, h, hi, {call}, 0, 0, NB{passed});
-      }}
-      for (int64_t k = end - 1; k >= q * L; k--) {{
-        State& s = stretch[k - q * L];
-        back(s.c, s.ci, g, a, h, hi, {call}, 0, 0, NB{passed});
-      }}
-    }}
-    for (int u = 0; u < TOGETHER; u++) {{
-      for (int i = 0; i < NA; i++) store(A1 + i * NB + b + u * LANES, a[u][i]);
-      for (int i = 0; i < ND; i++) store(G1 + i * NB + b + u * LANES, g[u][i]);
-    }}
-  }}
-  std::free(kept);"""
+    functions = functools.partial(reverse_texts, source, tape, step, back)
+    texts = _texts(source, functions, _together(nodes, True), head, body)
+    return Kernel(texts, low, where, {}, {}, nodes)
 
 
 def _carried(low: Lowered, where: Layout, results: list[Any]) -> list[Store]:

@@ -82,17 +82,19 @@ def _applied(program: Program, *leaves: Any) -> tuple[Any, Any]:
 
 
 @functools.cache
+def _traced(program: Program) -> tuple[Any, Any]:
+    return jax.make_jaxpr(functools.partial(_applied, program), return_shape=True)(*program.leaves)
+
+
 def row_structure(program: Program) -> tuple[Any, Leaves]:
     """Structure and shapes of what a tick stores."""
-    _, row = jax.eval_shape(functools.partial(_applied, program), *program.leaves)
-    leaves, structure = jax.tree.flatten(row)
-    return structure, tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves)
+    leaves, structure = jax.tree.flatten(_traced(program)[1][1])
+    return structure, tuple(leaves)
 
 
-@functools.cache
 def forward_jaxpr(program: Program) -> Any:
     """Arguments: the leaves. Results: carry, row."""
-    return jax.make_jaxpr(functools.partial(tick, program))(*program.leaves)
+    return _traced(program)[0]
 
 
 def _moved(

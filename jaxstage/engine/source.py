@@ -3,23 +3,27 @@
 from typing import NamedTuple
 
 from jaxstage.engine.lowering import Hoisted, Layout, Lowered, cells, hoist
-from jaxstage.engine.node import Node
 from jaxstage.engine.program import Program
-from jaxstage.engine.statements import computed, copies, write
+from jaxstage.engine.statements import copies
 from jaxstage.engine.stores import COPY, Store
 
 
 class Source(NamedTuple):
     """What the pieces of a source have in common. borders: C++ that defines `begin` and `end`, what
-    is done before and after the time loop of a vector of runs. passed: the tables, as further
-    arguments of a call."""
+    is done before and after the time loop of a vector of runs. tables: as further arguments of a
+    call."""
 
     program: Program
     low: Lowered
     where: Layout
     hoisted: Hoisted
     borders: str
-    passed: str
+    tables: str
+
+    @property
+    def passed(self) -> str:
+        """Arguments of one function to another."""
+        return f"r, ri, row, rowi, NB{self.tables}"
 
 
 def source_of(program: Program, low: Lowered, where: Layout, stores: list[Store]) -> Source:
@@ -37,8 +41,8 @@ def source_of(program: Program, low: Lowered, where: Layout, stores: list[Store]
     for (int i = 0; i < NC; i++) store(C1 + i * NB + b, c[i]);
     for (int i = 0; i < NCI; i++) store_ints(CI1 + i * NB + b, ci[i]);
   }};"""
-    passed = "".join(f", T{i}" for i in range(len(low.tables)))
-    return Source(program, low, where, hoisted, borders, passed)
+    tables = "".join(f", T{i}" for i in range(len(low.tables)))
+    return Source(program, low, where, hoisted, borders, tables)
 
 
 def _tables(source: Source) -> list[str]:
@@ -50,63 +54,26 @@ def _tables(source: Source) -> list[str]:
     return [kinds.get(i, "real") for i in range(len(source.low.tables))]
 
 
-class Usual(NamedTuple):
-    """What is left to do of a tick where a condition holds in every lane, as nearly always.
-
-    head: computes the condition; name: of it; then: the rest.
-    """
-
-    head: list[str]
-    name: str
-    then: list[str]
-
-
-class Function(NamedTuple):
-    """What computes stores in one tick; and, if there is such a thing, in a usual one."""
-
-    statements: list[str]
-    usual: Usual | None
-
-
-def function_of(
-    source: Source, stores: list[Store], condition: Node | None = None,
-    usual: list[Store] | None = None,
-) -> Function:  # fmt: skip
-    """A function that makes the stores; where the condition holds, those of ``usual``."""
-    where, known, single = cells(source.where), source.hoisted.known, source.low.single
-    plain = write(stores, where, known, single)
-    if condition is None or usual is None:
-        return Function(plain, None)
-    head, more = computed([condition], where, known, single)
-    return Function(plain, Usual(head, more.names[condition.id], write(usual, where, more, single)))
-
-
-def text_of(source: Source, name: str, function: Function, together: int) -> str:
-    """A C++ function for several vectors."""
+def text_of(
+    source: Source, name: str, statements: list[str], together: int, more: str = "",
+    seldom: bool = False,
+) -> str:  # fmt: skip
+    """A C++ function of statements on several vectors. more: parameters; seldom: is it called?"""
     tables = "".join(f", const {kind}* T{i}" for i, kind in enumerate(_tables(source)))
-    given = f"""(
+    kind = "noinline, cold" if seldom else "always_inline"
+    return f"""
+static {"" if seldom else "inline "}__attribute__(({kind})) void {name}(
     vec (*c)[NC], ints (*ci)[NCI], vec (*d)[ND], vec (*a)[NA], const vec (*h)[NH],
     const ints (*hi)[NHI], const real* __restrict r, const int32_t* __restrict ri, real* row,
-    int32_t* rowi, int64_t NB{tables})"""
-    inline = "static inline __attribute__((always_inline)) void"
-    plain = _body(function.statements, together)
-    if function.usual is None:
-        return f"\n{inline} {name}{given} {{{plain}\n}}\n"
-    head, condition, then = function.usual
-    holds = " && ".join(copies([f"everywhere({condition})"], together))
-    passed = f"c, ci, d, a, h, hi, r, ri, row, rowi, NB{source.passed}"
-    return f"""
-static __attribute__((noinline, cold)) void {name}_at_worst{given} {{{plain}
-}}
-{inline} {name}{given} {{{_body(head, together)}
-  if (!__builtin_expect({holds}, 1)) return {name}_at_worst({passed});
-  {_joined(copies(then, together))}
+    int32_t* rowi, int64_t NB{tables}{more}) {{
+  {_joined([*copies([*_ARRAYS], together), *statements])}
 }}
 """
 
 
-def _body(statements: list[str], together: int) -> str:
-    return "\n  " + _joined(copies([*_ARRAYS, *statements], together))
+def holds(condition: str, together: int) -> str:
+    """C text: whether a condition holds in every lane of all vectors."""
+    return " && ".join(copies([f"everywhere({condition})"], together))
 
 
 def _joined(statements: list[str]) -> str:

@@ -209,12 +209,13 @@ def _gathered(w: _Writing, node: Node) -> tuple[list[str], str]:
         for loop in loops:
             own, text = _round(w, loop)
             added = f"{parts}[k & 3] = {parts}[k & 3] + {term.format(text)};"
-            lines.append(_block(f"for (int k = 0; k < {len(loop.members)}; k++)", [*own, added]))
+            lines.append(block(f"for (int k = 0; k < {len(loop.members)}; k++)", [*own, added]))
         total = f"({parts}[0] + {parts}[1]) + ({parts}[2] + {parts}[3])"
     return lines, total if node.op == "sum" else f"finite({total})"
 
 
-def _block(head: str, statements: list[str]) -> str:
+def block(head: str, statements: list[str]) -> str:
+    """Statements in braces."""
     return "\n  ".join([head + " {", *statements, "}"])
 
 
@@ -226,7 +227,7 @@ def _rolled(w: _Writing, loop: Rolled, where: str | None) -> str:
     if where is not None:
         text = f"pick({where}, {text}, {cell})"
     put = f"{cell} {'+=' if store.add else '='} {text};"
-    return _block(f"for (int k = 0; k < {len(roll.members)}; k++)", [*own, put])
+    return block(f"for (int k = 0; k < {len(roll.members)}; k++)", [*own, put])
 
 
 def _array_of(node: Node, name: str, prefix: str, number: int) -> str:
@@ -297,7 +298,7 @@ def loop_text(
     round_of = write(
         stores, Cells(read, cells.array), Known(dict(names), known.reciprocals), single, prefix
     )
-    return "\n  ".join([*lines, _block(f"for ({steps})", round_of)])
+    return "\n  ".join([*lines, block(f"for ({steps})", round_of)])
 
 
 def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
@@ -330,7 +331,7 @@ def _guarded_stores(
     held += [_rolled(w, loop, where) for loop in loops]
     held += [_stored(s, name(s.node)) for s in never]
     head = f"if (__builtin_expect(everywhere({where}), 1))"
-    return f"{_block(head, free)} {_block('else', held)}"
+    return f"{block(head, free)} {block('else', held)}"
 
 
 def _load(node: Node, cells: Cells, place: str) -> str:
