@@ -3,8 +3,11 @@
 import jax
 import pytest
 
+from jaxstage.runtime import collect_seldom
+
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+collect_seldom()
 
 
 def pytest_collection_modifyitems(items):

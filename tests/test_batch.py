@@ -78,7 +78,7 @@ def test_a_batch_equals_single_runs():
         np.testing.assert_array_equal(batch.final.step[lane], single.final.step)
 
 
-@pytest.mark.parametrize("tile", [1, 2, 3, 11, 64])
+@pytest.mark.parametrize("tile", [1, 3, 11, 64])
 def test_the_tile_does_not_change_a_bit(tile):
     jax.tree.map(np.testing.assert_array_equal, several(tile).report, several(4).report)
 
@@ -248,9 +248,9 @@ import sys, jax, numpy as np
 import jaxstage as js
 js.configure("double", cores=2)
 from jaxstage.batch import rollouts
-from jaxstage.metrics import standard
+from jaxstage.metrics import contour, energy, together, tracking
 c = js.build("dfcmac-circle", js.Timing(lap_time=0.1, laps=1))
-loop = js.replace(c.loop, metric=standard())
+loop = js.replace(c.loop, metric=together(tracking, contour, energy))
 slopes = np.random.default_rng(0).uniform(0.5, 4, (8, 2))
 gains = js.replace(c.gains, slope=slopes)
 axes = js.replace(jax.tree.map(lambda _: None, c.gains), slope=0)

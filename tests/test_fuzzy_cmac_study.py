@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from batteries import stacked, tracing
+from batteries import one_size, tracing
 
 import jaxstage as js
 from jaxstage.controllers.parts.cmac import Gaussian
@@ -77,21 +77,22 @@ def changed(gains, **values):
 
 @functools.cache
 def laps(timing, contours):
-    return stacked([build(f"cmac-{c}", timing).path for c in contours])
+    return one_size([build(f"cmac-{c}", timing).path for c in contours])
 
 
 @functools.cache
 def side_by_side(name, timing, metric, contours=CONTOURS):
-    """A law on several contours in one program, as a function of its gains."""
+    """A law on several contours, one after the other, as a function of its gains: laps of one size
+    share a kernel."""
     case = build(f"{name}-circle", timing)
     loop = js.replace(case.loop, metric=metric)
 
-    @jax.jit
-    def every(gains, paths):
+    def every(gains=case.gains):
         one = lambda path: simulate(loop, gains, case.scenario, path, case.window.ticks)  # noqa: E731
-        return jax.vmap(one)(paths)
+        runs = [one(path) for path in laps(timing, contours)]
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *runs)
 
-    return lambda gains=case.gains: every(gains, laps(timing, contours))
+    return every
 
 
 @functools.cache

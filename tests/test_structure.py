@@ -136,16 +136,16 @@ def test_only_one_part_imports(package, where):
 def test_importing_computes_nothing():
     """JAX has not started after the import: precision and devices can still be chosen."""
     program = (
-        "import sys, tuning.cli, jaxstage\n"
+        "import gc, sys, tuning.cli, jaxstage\n"
         "assert 'matplotlib' not in sys.modules\n"
         "jaxstage.configure(precision='double', cores=3, cache=None)\n"
         "import jax\n"
-        "print(len(jax.devices('cpu')), jax.numpy.zeros(()).dtype)\n"
+        "print(len(jax.devices('cpu')), jax.numpy.zeros(()).dtype, gc.get_threshold()[0])\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False
     )
-    assert done.stdout.split() == ["3", "float64"], done.stderr
+    assert done.stdout.split() == ["3", "float64", "100000"], done.stderr
 
 
 # --- text ------------------------------------------------------------------------------------
