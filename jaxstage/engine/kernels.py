@@ -6,10 +6,8 @@ carry (slots, lanes); then the tables; then the tangents Q of parameters and D o
 the cotangents G of the carry. The lanes are a multiple of a vector.
 """
 
-import contextlib
 import functools
-import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from jaxstage.engine.lowering import Layout, Lowered, cells, flat, layout, lower
@@ -59,21 +57,7 @@ def kernel(
 ) -> Kernel:
     """The kernel ``forward``, ``tangent`` or ``pullback``. own: see `lower`; moving: the leaves
     beside the carry that have derivatives. Raises NotImplementedError with the reason."""
-    with _nothing_collected():
-        return _MAKERS[what](program, own, moving)
-
-
-@contextlib.contextmanager
-def _nothing_collected() -> Iterator[None]:
-    """Many small objects are made, which all stay: looking for garbage among them and in what JAX
-    keeps takes a third of the time."""
-    wanted = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if wanted:
-            gc.enable()
+    return _MAKERS[what](program, own, moving)
 
 
 def _texts(
