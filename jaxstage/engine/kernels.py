@@ -10,6 +10,7 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from jaxstage.engine import reverse
 from jaxstage.engine.lowering import Layout, Lowered, cells, flat, layout, lower
 from jaxstage.engine.node import Node, kind_of, ordered
 from jaxstage.engine.parts import RUN
@@ -20,8 +21,6 @@ from jaxstage.engine.program import (
     row_structure,
     tangent_jaxpr,
 )
-from jaxstage.engine.reverse import BODY, tape_of
-from jaxstage.engine.reverse import texts as reverse_texts
 from jaxstage.engine.source import Source, handler, heading, source_of, text_of
 from jaxstage.engine.statements import copies, write
 from jaxstage.engine.stores import COPY, Store
@@ -153,10 +152,10 @@ def _pullback(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) 
         if not (node.op == "const" and node.value == 0)
     ]
     back += _derived(program, where, results[len(moving) :], "g", "g")
-    tape = tape_of(low.graph, step, back, cells(where))
+    tape = reverse.tape_of(low.graph, step, back, cells(where))
     usual = [] if tape is None else [*tape.step, *tape.back]
     source = source_of(program, low, where, [*step, *back, *usual])
-    body = BODY.format(
+    body = reverse.BODY.format(
         borders=source.borders, tables=source.tables, call="R + k * NR, RI + k * NRI"
     )
     first = 8 + len(low.tables)
@@ -164,7 +163,7 @@ def _pullback(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) 
     head += "  real *A1 = out<real>(frame, 0), *G1 = out<real>(frame, 1), *C1 = 0;\n"
     head += "  int32_t* CI1 = 0;"
     nodes = _work(step + back)
-    functions = functools.partial(reverse_texts, source, tape, step, back)
+    functions = reverse.functions(source, tape, step, back)
     texts = _texts(source, functions, _together(nodes, True), head, body)
     return Kernel(texts, low, where, {}, {}, nodes)
 

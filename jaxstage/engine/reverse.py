@@ -6,7 +6,7 @@ the tape what the way back reads of it. In others it leaves the carry, from whic
 computes everything anew.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 from jaxstage.engine.assuming import assuming
@@ -69,21 +69,47 @@ def _given(node: Node) -> bool:
 _ARRAYS = {"f": "v", "b": "vm"}
 
 
-def texts(
-    source: Source, tape: Tape | None, step: list[Store], back: list[Store], together: int
-) -> str:
-    """The functions ``step``, ``forth`` (a step that keeps) and ``back``."""
+def functions(
+    source: Source, tape: Tape | None, step: list[Store], back: list[Store]
+) -> Callable[[int], str]:
+    """C++ of ``step``, ``forth`` (a step that keeps), ``anew`` and ``back``, by the number of
+    vectors that go through time together."""
     where, known, single = cells(source.where), source.hoisted.known, source.low.single
-    plain = write(step, where, known, single)
-    anew = write(back, where, known, single)
-    made = text_of(source, "step", copies(plain, together), together)
-    if tape is None:
-        forth = ["keep(s.state, c, ci);", f"step(c, ci, d, a, h, hi, {source.passed});"]
+    plain, anew = (write(stores, where, known, single) for stores in (step, back))
+    kept, usual = ({}, None) if tape is None else _with_tape(source, tape)
+
+    def text(together: int) -> str:
+        def function(name: str, lines: list[str], seldom: bool = False) -> str:
+            more = ", Kept& s" if name in ("forth", "back") else ""
+            return text_of(source, name, copies(lines, together), together, more, seldom)
+
+        forth, backward = [_KEEP, _STEP.format(source.passed)], [_ANEW.format(source.passed)]
+        if usual is not None:
+            condition = holds(usual.condition, together)
+            unusual = block("if (!s.usual)", [*forth, "return;"])
+            forth = [*usual.head, f"s.usual = __builtin_expect({condition}, 1);", unusual]
+            forth += usual.on
+            backward = [block("if (!s.usual)", [*backward, "return;"]), _VALUES, *usual.then]
         return "".join((
-            made, text_of(source, "anew", copies(anew, together), together),
-            _types({}), text_of(source, "forth", forth, together, ", Kept& s"),
-            text_of(source, "back", [_ANEW.format(source.passed)], together, ", Kept& s"),
+            _types(kept), function("step", plain), function("anew", anew, usual is not None),
+            function("forth", forth), function("back", backward),
         ))  # fmt: skip
+
+    return text
+
+
+class _Usual(NamedTuple):
+    """Statements of a usual tick. head: find the condition; on: forward; then: back."""
+
+    head: list[str]
+    condition: str
+    on: list[str]
+    then: list[str]
+
+
+def _with_tape(source: Source, tape: Tape) -> tuple[dict[str, int], _Usual]:
+    """Slots of the arrays of the tape, and the statements that fill and read it."""
+    where, known, single = cells(source.where), source.hoisted.known, source.low.single
     head, after = computed([tape.condition], where, known, single)
     read = _forward(tape.back, where, known.reciprocals)
     kept = [n for n in read if n.id not in known.names and not _given(n)]
@@ -92,29 +118,17 @@ def texts(
     names, leaves = dict(known.names), []
     for node in kept:
         array = _ARRAYS.get(node.kind, "vi")
-        slot = counts[array] = counts.get(array, -1) + 1
+        slot = counts.get(array, 0)
+        counts[array] = slot + 1
         names[node.id] = f"{array}{COPY}[{slot}]"
         leaves.append(f"s.values.{array}[{COPY}][{slot}] = {whole.names[node.id]};")
     on = [*rest, *leaves, *write(tape.step, where, whole, single)]
-    forth = [
-        *copies(head, together),
-        f"s.usual = {holds(after.names[tape.condition.id], together)};",
-        block("if (!__builtin_expect(s.usual, 1))",
-              ["keep(s.state, c, ci);", f"return step(c, ci, d, a, h, hi, {source.passed});"]),
-        *copies(on, together),
-    ]  # fmt: skip
     then = write(tape.back, where, known._replace(names=names), single)
-    backward = [
-        f"if (!__builtin_expect(s.usual, 1)) return {_ANEW.format(source.passed)}",
-        *copies([_VALUES, *then], together),
-    ]
-    return "".join((
-        made, text_of(source, "anew", copies(anew, together), together, seldom=True),
-        _types(counts), text_of(source, "forth", forth, together, ", Kept& s"),
-        text_of(source, "back", backward, together, ", Kept& s"),
-    ))  # fmt: skip
+    return counts, _Usual(head, after.names[tape.condition.id], on, then)
 
 
+_KEEP = "keep(s.state, c, ci);"
+_STEP = "step(c, ci, d, a, h, hi, {0});"
 _ANEW = "anew(s.state.c, s.state.ci, d, a, h, hi, {0});"
 _VALUES = (
     f"const vec* __restrict v{COPY} = s.values.v[{COPY}]; "
@@ -124,11 +138,11 @@ _VALUES = (
 
 
 def _types(counts: dict[str, int]) -> str:
-    """What is kept of a tick. counts: the last slots of the arrays."""
-    v, vi, vm = (counts.get(name, -1) + 1 for name in ("v", "vi", "vm"))
+    """What is kept of a tick. counts: of the slots of the arrays."""
+    v, vi, vm = (counts.get(name, 0) for name in ("v", "vi", "vm"))
     return f"""
 struct Values {{ vec v[TOGETHER][{v}]; ints vi[TOGETHER][{vi}]; mask vm[TOGETHER][{vm}]; }};
-struct alignas(64) Kept {{ bool usual; union {{ State state; Values values; }}; }};
+struct Kept {{ bool usual; union {{ State state; Values values; }}; }};
 """
 
 

@@ -80,8 +80,10 @@ class _Writing(NamedTuple):
 
 def copies(statements: list[str], count: int) -> list[str]:
     """The statements for several vectors, one vector after the other in each: while one waits for a
-    result, the others compute."""
-    return [s.replace(COPY, str(u)) for s in statements for u in range(count)]
+    result, the others compute. What is not of a vector is said once."""
+    return [
+        s.replace(COPY, str(u)) for s in statements for u in range(count if COPY in s else 1)
+    ]  # fmt: skip
 
 
 def write(
