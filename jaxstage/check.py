@@ -1,5 +1,6 @@
 """What is refused before a run: shapes, types and ranges, each named with its allowed range."""
 
+import functools
 from typing import Any
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxstage.blocks import Loop, Plant
+from jaxstage.blocks import Loop, Plant, Reference, unlimited
 from jaxstage.fields import Quantity, in_units_of, leaves
 from jaxstage.signals import Scenario
 
@@ -38,10 +39,11 @@ def check(
         lambda x, a: x if a == SHARED else jax.ShapeDtypeStruct(x.shape[1:], x.dtype),
         path, in_axes[2],
     )  # fmt: skip
-    sampled = jax.eval_shape(loop.reference.sample, one_path, jnp.zeros((), jnp.int32))
-    if sampled.position.shape != (len(axes),):
+    shapes, structure = jax.tree.flatten(one_path)
+    sampled = _sampled(loop.reference, structure, tuple((x.shape, x.dtype) for x in shapes))
+    if sampled != (len(axes),):
         raise ValueError(
-            f"the path has {sampled.position.shape[-1]} axes, "
+            f"the path has {sampled[-1]} axes, "
             f"but {loop.plant.name} has {len(axes)} ({', '.join(axes)})"
         )
     _check_period(loop, path, in_axes[2])
@@ -52,6 +54,15 @@ def check(
         check_leaves(loop.plant, getattr(scenario, name), name, batch, per_axis=name == "sensor")
     _check_delay(loop, scenario)
     return gains, scenario, path
+
+
+@functools.cache
+def _sampled(reference: Reference, structure: Any, shapes: Any) -> tuple[int, ...]:
+    """The shape of the positions that a path of such leaves gives."""
+    leaves = [jax.ShapeDtypeStruct(*x) for x in shapes]
+    path = jax.tree.unflatten(structure, leaves)
+    tick = jax.ShapeDtypeStruct((), jnp.int32)
+    return jax.eval_shape(reference.sample, path, tick).position.shape
 
 
 def float_type(tree: Any) -> Any:
@@ -116,6 +127,8 @@ def _check_period(loop: Loop, path: Any, batch: Any) -> None:
 
 
 def _check_law(loop: Loop, gains: Any, batch: Any) -> None:
+    if loop.controller.longest_period is unlimited:
+        return
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(gains)):
         return
 
