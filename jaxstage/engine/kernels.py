@@ -28,9 +28,13 @@ from jaxstage.engine.stores import COPY, Store
 #: the most vectors of runs that go through time together: while one waits for a result, the others
 #: compute
 TOGETHER = 4
-#: operations of a tick up to which four do, and two: more keep a processor busy alone, and compile
-#: long. Derivatives, which are as busy, have nothing to gain by two.
-FOUR, TWO = 1000, 2500
+#: operations of a tick up to which so many vectors go together, kernel by kernel: more operations
+#: keep a processor busy alone, and compile long. Two tapes fill a cache that four overflow.
+MOST = {
+    "forward": {4: 1000, 2: 2500},
+    "tangent": {4: 1000},
+    "pullback": {2: 1000},
+}  # fmt: skip
 
 
 class Kernel(NamedTuple):
@@ -72,10 +76,8 @@ def _texts(
     return {n: text(n) for n in {1, together}}
 
 
-def _together(nodes: int, derivative: bool) -> int:
-    if nodes <= FOUR:
-        return TOGETHER
-    return 2 if nodes <= TWO and not derivative else 1
+def _together(what: str, nodes: int) -> int:
+    return next((n for n, most in MOST[what].items() if nodes <= most), 1)
 
 
 def _stepping(source: Source, stores: list[Store]) -> Callable[[int], str]:
@@ -102,7 +104,7 @@ def _forward(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
     head = "real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
     head += "  real* rows = out<real>(frame, 2); int32_t* rowsi = out<int32_t>(frame, 3);"
     nodes = _work(stores)
-    texts = _texts(source, _stepping(source, stores), _together(nodes, False), head, body)
+    texts = _texts(source, _stepping(source, stores), _together("forward", nodes), head, body)
     return Kernel(texts, low, where, rows, counts, nodes)
 
 
@@ -134,7 +136,7 @@ def _tangent(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) -
     head += "  real* C1 = out<real>(frame, 0); int32_t* CI1 = out<int32_t>(frame, 1);\n"
     head += "  real* D1 = out<real>(frame, 2);"
     nodes = _work(stores)
-    texts = _texts(source, _stepping(source, stores), _together(nodes, True), head, body)
+    texts = _texts(source, _stepping(source, stores), _together("tangent", nodes), head, body)
     return Kernel(texts, low, where, {}, {}, nodes)
 
 
@@ -164,7 +166,7 @@ def _pullback(program: Program, own: tuple[bool, ...], moving: tuple[int, ...]) 
     head += "  int32_t* CI1 = 0;"
     nodes = _work(step + back)
     functions = reverse.functions(source, tape, step, back)
-    texts = _texts(source, functions, _together(nodes, True), head, body)
+    texts = _texts(source, functions, _together("pullback", nodes), head, body)
     return Kernel(texts, low, where, {}, {}, nodes)
 
 

@@ -147,7 +147,7 @@ def report(results: list[Result]) -> str:
     )  # fmt: skip
     note = (
         "lane-steps per processor second (one core), for two threads or devices per second of\n"
-        "wall time; best of runs taken in turn, calls as a user makes them (checks of the input\n"
+        "wall time; runs taken in turn, calls as a user makes them (checks of the input\n"
         "included). eng. x: two devices against one, by the clock. all: every default metric (C++\n"
         "keeps ATE only). ATE diff.: the largest relative difference of any run from C++. comp.:\n"
         "first call of engine, rollouts and vmap beyond a later one, two at a time. jaxstage also\n"

@@ -18,8 +18,9 @@ Program = Callable[[], Any]
 
 
 class Times(NamedTuple):
-    """Seconds of one program: first call (with compilation), best, median, and best of the
-    processor time over all threads, which other programs on the machine disturb less."""
+    """Seconds of one program: first call (with compilation), best, median, and the median of the
+    processor time over all threads, which other programs on the machine disturb less. (Some systems
+    book the time of a thread late: single values, the best above all, may be far too small.)"""
 
     first: float
     best: float
@@ -65,7 +66,7 @@ def in_turn(
                 cpu[name].append(time.process_time() - used)
         done += 1
     return {
-        name: Times(first[name][0], min(w), float(np.median(w)), min(cpu[name]))
+        name: Times(first[name][0], min(w), float(np.median(w)), float(np.median(cpu[name])))
         for name, w in walls.items()
     }
 
