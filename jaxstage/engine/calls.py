@@ -40,7 +40,12 @@ class Call(NamedTuple):
     @property
     def lanes(self) -> int:
         """Runs, padded to whole vectors; many, to vectors that go through time together."""
-        return vectors(self.program, self.runs) * WIDEST[self.program.single]
+        return self.vectors * WIDEST[self.program.single]
+
+    @property
+    def vectors(self) -> int:
+        """Vectors of the widest processor that hold the runs."""
+        return vectors(self.program, self.runs)
 
     @property
     def piece(self) -> int:
@@ -50,7 +55,7 @@ class Call(NamedTuple):
 
 
 def vectors(program: Program, runs: int) -> int:
-    """Vectors of the widest processor that hold the runs."""
+    """Vectors of the widest processor that hold the runs; many, whole groups of `TOGETHER`."""
     count = -(-runs // WIDEST[program.single])
     return count if count < TOGETHER else count + -count % TOGETHER
 
@@ -201,7 +206,7 @@ def invoke(
     call: Call, results: list[Any], first: Any, count: int, state: Any, more: tuple[Any, ...] = ()
 ) -> list[Array]:
     """The kernel over ``count`` ticks. results: shapes and types; more: derivatives."""
-    target = build(call.kernel.text(vectors(call.program, call.runs))).target
+    target = build(call.kernel.text(call.vectors)).target
     shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in results]
     numbers = of_ticks(call, first, count)
     arguments = (*parameters(call), *shared(call), *numbers, *state, *tables(call), *more)

@@ -62,9 +62,15 @@ def apart(a: Any, b: Any) -> float:
     return float(np.max([np.max(np.abs(x - y)) / max(np.max(np.abs(x)), 1e-12) for x, y in pairs]))
 
 
-def _run(case: js.Case, engine: Any, gains: Any) -> js.Run:
+def run(case: js.Case, engine: Any, gains: Any, ticks: int) -> js.Run:
+    """The case under an engine."""
     loop = js.replace(case.loop, engine=engine)
-    return js.simulate(loop, gains, case.scenario, case.path, TICKS)
+    return js.simulate(loop, gains, case.scenario, case.path, ticks)
+
+
+def real_leaves(tree: Any) -> list[Any]:
+    """The leaves of a derivative, without those of integers, which have none."""
+    return [x for x in jax.tree.leaves(tree) if x.dtype != jax.dtypes.float0]
 
 
 def differences(case: js.Case) -> tuple[float, float]:
@@ -72,12 +78,11 @@ def differences(case: js.Case) -> tuple[float, float]:
     gains = spread(case.gains, 3)
 
     def values(engine: Any) -> Any:
-        return jax.jit(jax.vmap(lambda g: moved(_run(case, engine, g))))(gains)
+        return jax.jit(jax.vmap(lambda g: moved(run(case, engine, g, TICKS))))(gains)
 
     def slopes(engine: Any) -> Any:
-        slope = jax.grad(lambda g: _run(case, engine, g).report.ate, allow_int=True)
-        found = jax.tree.leaves(jax.jit(jax.vmap(slope))(gains))
-        return [x for x in found if x.dtype != jax.dtypes.float0]
+        slope = jax.grad(lambda g: run(case, engine, g, TICKS).report.ate, allow_int=True)
+        return real_leaves(jax.jit(jax.vmap(slope))(gains))
 
     return tuple(apart(f(js.scan), f(js.compiled)) for f in (values, slopes))  # type: ignore
 

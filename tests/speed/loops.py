@@ -13,21 +13,12 @@ import jax
 import jax.numpy as jnp
 
 import jaxstage as js
-from jaxstage.engine.loop import Report, describe
-from jaxstage.explain import KERNELS
-from jaxstage.rollout import compiled_form, start
 
-from .agreement import distinct, spread
+from .agreement import distinct, real_leaves, run, spread
 from .tables import rate, table
 from .timing import first_calls, in_turn, machine
 
 LANES, TICKS = 64, 10_000
-
-
-def _reports(case: js.Case) -> list[Report]:
-    carry = start(case.loop, case.gains, case.scenario, case.path)
-    program, _ = compiled_form(case.loop, case.gains, case.scenario, case.path, carry)
-    return [describe(program, what) for what in KERNELS]
 
 
 def _programs(case: js.Case) -> dict[str, Callable[[], Any]]:
@@ -35,12 +26,7 @@ def _programs(case: js.Case) -> dict[str, Callable[[], Any]]:
     many = spread(case.gains, LANES)
 
     def error(engine: Any) -> Callable[[Any], Any]:
-        loop = js.replace(case.loop, engine=engine)
-
-        def of(gains: Any) -> Any:
-            return js.simulate(loop, gains, case.scenario, case.path, TICKS).report.ate
-
-        return of
+        return lambda gains: run(case, engine, gains, TICKS).report.ate
 
     def along(gains: Any) -> Any:
         ones = jax.tree.map(
@@ -57,19 +43,15 @@ def _programs(case: js.Case) -> dict[str, Callable[[], Any]]:
     }
 
     def called(function: Callable[[Any], Any]) -> Callable[[], Any]:
-        every = jax.jit(lambda g: _real(jax.vmap(function)(g)))
+        every = jax.jit(lambda g: real_leaves(jax.vmap(function)(g)))
         return lambda: every(many)
 
     return {name: called(f) for name, f in chosen.items()}
 
 
-def _real(tree: Any) -> list[Any]:
-    return [x for x in jax.tree.leaves(tree) if x.dtype != jax.dtypes.float0]
-
-
 def row(name: str, case: js.Case) -> list[str]:
     """What the table says of a loop."""
-    reports = _reports(case)
+    reports = js.explain(case.loop, case.gains, case.scenario, case.path).kernels
     programs = _programs(case)
     times = in_turn(programs, first_calls(programs), 2.0)
     steps, forward = LANES * TICKS, times["forward"].cpu
