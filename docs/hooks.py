@@ -107,8 +107,8 @@ def spreads(study: str) -> str:
 def values(loop: str, *roots: str) -> str:
     """The numbers of a loop below ``plant``, ``reference``, ..., with symbol and unit."""
     from jaxstage import find
-    from jaxstage.fields import in_units_of
-    from jaxstage.settings import known_leaves
+    from jaxstage.model.fields import in_units_of
+    from jaxstage.model.settings import known_leaves
 
     entry = find(loop)
     case = entry.build(entry.timing)
@@ -217,7 +217,7 @@ def commands() -> str:
     """The help of every command, as it is printed."""
     import typer
 
-    from tuning.cli import app
+    from tuning.app.main import app
 
     root = typer.main.get_command(app)
     context = root.make_context("jaxstage", [], resilient_parsing=True)

@@ -20,10 +20,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.blocks import Controller
-from jaxstage.fields import leaves
-from jaxstage.settings import apply, read_toml, to_toml
-from jaxstage.signals import Measurement, Scenario, Setpoint, Start
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import leaves
+from jaxstage.model.settings import apply, read_toml, to_toml
+from jaxstage.model.signals import Measurement, Scenario, Setpoint, Start
 
 #: control period in s
 DT = 1e-4

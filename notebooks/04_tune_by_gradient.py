@@ -29,16 +29,16 @@ import numpy as np
 import jaxstage as js
 from jaxstage import plot
 from jaxstage.plot import tuning as pictures
-from tuning.scenarios import draw, space, study_spreads
 from tuning.tuner.baselines import course
-from tuning.tuner.cma import cma_es
-from tuning.tuner.groups import make_group
-from tuning.tuner.levenberg_marquardt import levenberg_marquardt
-from tuning.tuner.objective import Term
 from tuning.tuner.pictures import simulate_pair
-from tuning.tuner.problem import curvatures, evaluate, make_problem
-from tuning.tuner.space import Search, default_searches, search_space
-from tuning.tuner.tune import tune
+from tuning.tuner.problem.objective import Term
+from tuning.tuner.problem.problem import curvatures, evaluate, make_problem
+from tuning.tuner.problem.run_group import make_group
+from tuning.tuner.problem.search_space import Search, default_searches, search_space
+from tuning.tuner.search.cma_es import cma_es
+from tuning.tuner.search.levenberg_marquardt import levenberg_marquardt
+from tuning.tuner.search.optimise import tune
+from tuning.uncertainty.uncertain_space import draw, space, study_spreads
 
 # %matplotlib inline
 

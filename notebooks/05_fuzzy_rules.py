@@ -29,14 +29,14 @@ import jaxstage as js
 from jaxstage import plot
 from jaxstage.controllers.fuzzy_rules import fuzzy_laws
 from jaxstage.plot import tuning as pictures
-from tuning.scenarios import draw, space, study_spreads
-from tuning.tuner.groups import make_group
-from tuning.tuner.lbfgs import lbfgs
-from tuning.tuner.objective import Term
 from tuning.tuner.pictures import rules_text, simulate_pair
-from tuning.tuner.problem import make_problem
-from tuning.tuner.space import Search, search_space
-from tuning.tuner.tune import tune
+from tuning.tuner.problem.objective import Term
+from tuning.tuner.problem.problem import make_problem
+from tuning.tuner.problem.run_group import make_group
+from tuning.tuner.problem.search_space import Search, search_space
+from tuning.tuner.search.lbfgs import lbfgs
+from tuning.tuner.search.optimise import tune
+from tuning.uncertainty.uncertain_space import draw, space, study_spreads
 
 # %matplotlib inline
 

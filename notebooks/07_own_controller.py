@@ -33,8 +33,8 @@ from jax import Array
 import jaxstage as js
 from jaxstage.controllers import RigidAxis, per_axis
 from jaxstage.controllers.parts.nominal import authority, drift
-from jaxstage.fields import gain, part, pytree, signal
 from jaxstage.metrics import contour
+from jaxstage.model.fields import gain, part, pytree, signal
 from jaxstage.testing import check_controller
 
 # %matplotlib inline

@@ -3,7 +3,7 @@
 import jax
 import pytest
 
-from jaxstage.runtime import collect_seldom
+from jaxstage.system.runtime import collect_seldom
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -8,7 +8,7 @@ import nbclient
 import nbformat
 import pytest
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
 #: what stands in place of the numbers in the cell tagged ``parameters``
 SMALL = {
@@ -16,7 +16,7 @@ SMALL = {
     "03_published_systems": 'ONLY = ("pd",)',
     "04_tune_by_gradient": 'LOOP, GAINS = "pi-circle", ("slope", "proportional_gain")\n'
     "SECONDS, PLANTS, GRID, BUDGET = 0.05, 2, 5, 20.0",
-    "05_fuzzy_rules": "from tuning.tuner.random_search import random_search\n"
+    "05_fuzzy_rules": "from tuning.tuner.search.random_search import random_search\n"
     "SECONDS, PLANTS, METHOD, BUDGET = 0.1, 1, random_search(), 20.0",
     "06_monte_carlo": 'PLANTS, LOOPS, TIMING = 16, ("pi-circle",), ("lap_time=0.2", "laps=1")',
     "07_own_controller": "LAP_TIME = 0.5",

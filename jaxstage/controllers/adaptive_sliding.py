@@ -28,13 +28,13 @@ import functools
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.input_sign import Exchange, InputSign, forward
 from jaxstage.controllers.parts.nominal import RigidAxis, authority
 from jaxstage.controllers.parts.surface import errors
-from jaxstage.fields import gain, part, pytree, replace, signal
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, part, pytree, replace, signal
+from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.smooth import within
-from jaxstage.signals import Measurement, Setpoint
 
 
 @pytree

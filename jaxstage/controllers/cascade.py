@@ -18,11 +18,11 @@ first: k_s a few tenths of 1/dt, k_i about k_s^2/16, k_p about k_s/6, all feed-f
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.nominal import RigidAxis, authority
 from jaxstage.controllers.parts.surface import errors
-from jaxstage.fields import gain, part, pytree, signal
-from jaxstage.signals import Measurement, Setpoint
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, part, pytree, signal
+from jaxstage.model.signals import Measurement, Setpoint
 
 
 @pytree

@@ -30,13 +30,13 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.cmac import Receptive, coordinate, features, gaussian
 from jaxstage.controllers.parts.nominal import RigidAxis, authority
 from jaxstage.controllers.parts.surface import errors, linear_surface
-from jaxstage.fields import gain, part, pytree, signal
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, part, pytree, signal
+from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.smooth import Switch, exact
-from jaxstage.signals import Measurement, Setpoint
 
 
 @pytree

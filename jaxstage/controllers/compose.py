@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller
-from jaxstage.fields import Quantity, known, map_leaves, part, pytree, replace
-from jaxstage.signals import Measurement, Setpoint
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import Quantity, known, map_leaves, part, pytree, replace
+from jaxstage.model.signals import Measurement, Setpoint
 
 #: which parts of a Setpoint belong to one axis
 _PER_AXIS = Setpoint(position=0, velocity=0, acceleration=0, tangent=0, curvature=None)  # type: ignore[arg-type]

@@ -26,12 +26,12 @@ model, so that a law that feeds them forward does not do so twice.
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.nominal import RigidAxis, authority, drift
-from jaxstage.fields import gain, part, pytree, replace, signal
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, part, pytree, replace, signal
+from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.integrate import shifted
 from jaxstage.numerics.smooth import positive
-from jaxstage.signals import Measurement, Setpoint
 
 
 @pytree

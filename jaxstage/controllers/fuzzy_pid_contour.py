@@ -35,7 +35,6 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.contour_error import (
     ContourError,
     Form,
@@ -45,11 +44,12 @@ from jaxstage.controllers.parts.contour_error import (
     vector,
 )
 from jaxstage.controllers.parts.fuzzy import Sets, infer, limited, strengths
-from jaxstage.fields import gain, part, pytree, replace, signal
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, part, pytree, replace, signal
+from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.geometry import dot
 from jaxstage.numerics.integrate import shifted
 from jaxstage.numerics.smooth import within
-from jaxstage.signals import Measurement, Setpoint
 
 RULES = "(sets, sets)"
 

@@ -30,11 +30,11 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.nominal import RigidAxis, authority
-from jaxstage.fields import gain, part, pytree, signal
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, part, pytree, signal
+from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.smooth import within
-from jaxstage.signals import Measurement, Setpoint
 
 
 @pytree

@@ -27,15 +27,15 @@ from typing import Any
 
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.damping import Damping, DampingRate, Motion, bounded, ignored
 from jaxstage.controllers.parts.error_rate import ErrorRate, measured
 from jaxstage.controllers.parts.nominal import RigidAxis
 from jaxstage.controllers.parts.reaching import ReachingGain, fixed
 from jaxstage.controllers.parts.surface import errors
-from jaxstage.fields import gain, part, pytree, replace, signal
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, part, pytree, replace, signal
+from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.smooth import Switch, exact
-from jaxstage.signals import Measurement, Setpoint
 
 
 @pytree

@@ -17,11 +17,11 @@ comparison; the law is chosen here.
 
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.nominal import RigidAxis, authority, drift
 from jaxstage.controllers.parts.surface import errors
-from jaxstage.fields import gain, part, pytree
-from jaxstage.signals import Measurement, Setpoint
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, part, pytree
+from jaxstage.model.signals import Measurement, Setpoint
 
 
 @pytree

@@ -16,10 +16,10 @@ Anti-windup: the command is set back to what the drive could give and integrates
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.surface import errors, linear_surface
-from jaxstage.fields import gain, pytree, signal
-from jaxstage.signals import Measurement, Setpoint
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, pytree, signal
+from jaxstage.model.signals import Measurement, Setpoint
 
 
 @pytree

@@ -26,7 +26,6 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.contour_error import (
     ContourError,
     Form,
@@ -34,9 +33,10 @@ from jaxstage.controllers.parts.contour_error import (
     unwinding,
     vector,
 )
-from jaxstage.fields import gain, part, pytree, replace, signal
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, part, pytree, replace, signal
+from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.integrate import shifted
-from jaxstage.signals import Measurement, Setpoint
 
 
 @pytree

@@ -15,11 +15,11 @@ import functools
 
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.compose import offset_setpoint
-from jaxstage.fields import gain, pytree
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, pytree
+from jaxstage.model.signals import Setpoint
 from jaxstage.numerics.smooth import sign
-from jaxstage.signals import Setpoint
 
 
 @pytree

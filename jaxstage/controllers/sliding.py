@@ -20,12 +20,12 @@ from typing import Any
 
 from jax import Array
 
-from jaxstage.blocks import Controller
 from jaxstage.controllers.parts.nominal import RigidAxis, authority, drift
 from jaxstage.controllers.parts.surface import errors, linear_surface
-from jaxstage.fields import gain, known, part, pytree, signal
+from jaxstage.model.blocks import Controller
+from jaxstage.model.fields import gain, known, part, pytree, signal
+from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.smooth import Switch, exact
-from jaxstage.signals import Measurement, Setpoint
 
 
 @pytree

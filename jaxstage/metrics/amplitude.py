@@ -9,7 +9,7 @@ and half of it in the two beside it. For a power that adds up to the variance se
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.fields import pytree, signal
+from jaxstage.model.fields import pytree, signal
 
 
 def amplitude_spectrum(values: Array, dt: float) -> tuple[Array, Array]:

@@ -3,12 +3,12 @@
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
 from jaxstage.metrics.tracking import following_error
-from jaxstage.signals import Sample
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import pytree, signal
+from jaxstage.model.signals import Sample
 
 
 @pytree

@@ -2,13 +2,13 @@
 
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import part, pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
 from jaxstage.metrics.tracking import following_error
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import part, pytree, signal
+from jaxstage.model.signals import Sample, Setpoint
 from jaxstage.numerics.geometry import norm, normal_part
-from jaxstage.signals import Sample, Setpoint
 
 
 @pytree

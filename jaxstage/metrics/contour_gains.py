@@ -7,11 +7,11 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import part, pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
-from jaxstage.signals import Sample, Setpoint
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import part, pytree, signal
+from jaxstage.model.signals import Sample, Setpoint
 
 
 @pytree

@@ -3,12 +3,12 @@
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import part, pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
 from jaxstage.metrics.tracking import Side
-from jaxstage.signals import Sample, Setpoint
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import part, pytree, signal
+from jaxstage.model.signals import Sample, Setpoint
 
 
 def drive_error(sample: Sample) -> Array:

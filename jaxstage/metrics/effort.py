@@ -5,12 +5,12 @@ import functools
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import part, pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import part, pytree, signal
+from jaxstage.model.signals import Sample, Setpoint
 from jaxstage.numerics.filters import low_pass_weight
-from jaxstage.signals import Sample, Setpoint
 
 
 @pytree

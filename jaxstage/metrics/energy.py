@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import pytree, signal
-from jaxstage.signals import Power, Sample, Setpoint
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import pytree, signal
+from jaxstage.model.signals import Power, Sample, Setpoint
 
 
 @pytree

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.fields import pytree, signal
+from jaxstage.model.fields import pytree, signal
 
 
 @pytree

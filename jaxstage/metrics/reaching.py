@@ -6,11 +6,11 @@ from typing import Any
 
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
-from jaxstage.signals import Sample, Setpoint
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import pytree, signal
+from jaxstage.model.signals import Sample, Setpoint
 
 
 @pytree

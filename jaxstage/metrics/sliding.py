@@ -7,9 +7,9 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import pytree, signal
-from jaxstage.signals import Sample, Setpoint
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import pytree, signal
+from jaxstage.model.signals import Sample, Setpoint
 
 
 @pytree

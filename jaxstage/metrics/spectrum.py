@@ -12,11 +12,11 @@ import functools
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import part, pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
-from jaxstage.signals import Sample, Setpoint
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import part, pytree, signal
+from jaxstage.model.signals import Sample, Setpoint
 
 #: what `high_frequency` sums online; a tick costs a sine and a cosine a bin
 MOST_BINS = 2000

@@ -6,13 +6,13 @@ from typing import Any
 
 from jax import Array
 
-from jaxstage.blocks import Metric
 from jaxstage.metrics.contour import contour, tangent_contour
 from jaxstage.metrics.effort import effort, saturation
 from jaxstage.metrics.energy import energy
 from jaxstage.metrics.sliding import sliding_figures
 from jaxstage.metrics.tracking import following, quadrant_glitch, tracking
 from jaxstage.metrics.windows import together
+from jaxstage.model.blocks import Metric
 
 
 @functools.cache

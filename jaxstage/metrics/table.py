@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxstage.blocks import Plant
-from jaxstage.fields import in_units_of, leaves
+from jaxstage.model.blocks import Plant
+from jaxstage.model.fields import in_units_of, leaves
 
 #: the end of a key that is a unit
 _UNIT = re.compile(

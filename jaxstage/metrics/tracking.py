@@ -7,12 +7,12 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import definition, pytree, signal
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import definition, pytree, signal
+from jaxstage.model.signals import Sample, Setpoint
 from jaxstage.numerics.geometry import norm
-from jaxstage.signals import Sample, Setpoint
 
 
 def following_error(sample: Sample) -> Array:

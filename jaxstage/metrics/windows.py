@@ -6,9 +6,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import replace
-from jaxstage.signals import Sample, Setpoint
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import replace
+from jaxstage.model.signals import Sample, Setpoint
 
 
 @functools.cache

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.fields import definition, gain, pytree
+from jaxstage.model.fields import definition, gain, pytree
 
 #: prefix of the scopes that name the kinks of a compiled loop, see `gradients.kinks`
 KINK = "kink_"

@@ -21,11 +21,11 @@ import functools
 
 from jax import Array
 
-from jaxstage.blocks import ForceProfile, Plant
-from jaxstage.fields import param, pytree, signal
+from jaxstage.model.blocks import ForceProfile, Plant
+from jaxstage.model.fields import param, pytree, signal
+from jaxstage.model.signals import Output, Power
 from jaxstage.numerics.integrate import rk4
 from jaxstage.numerics.smooth import positive
-from jaxstage.signals import Output, Power
 
 AXES = "(axes,)"
 

@@ -20,11 +20,11 @@ import functools
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import ForceProfile, Plant
-from jaxstage.fields import param, pytree, signal
+from jaxstage.model.blocks import ForceProfile, Plant
+from jaxstage.model.fields import param, pytree, signal
+from jaxstage.model.signals import Output, Power
 from jaxstage.numerics.smooth import DryFriction, play, positive, sticking
 from jaxstage.plants.parts.friction import FrictionLaw
-from jaxstage.signals import Output, Power
 
 N_PER_A = "N/A"
 AXES = "(axes,)"

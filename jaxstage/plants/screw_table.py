@@ -28,13 +28,13 @@ import functools
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import ForceProfile, Plant
-from jaxstage.fields import param, part, pytree, signal
+from jaxstage.model.blocks import ForceProfile, Plant
+from jaxstage.model.fields import param, part, pytree, signal
+from jaxstage.model.signals import Output, Power
 from jaxstage.numerics.integrate import rk4
 from jaxstage.plants.parts import motor as motors
 from jaxstage.plants.parts.friction import CreepingFriction, friction_force
 from jaxstage.plants.parts.motor import Motor
-from jaxstage.signals import Output, Power
 
 AXES = "(axes,)"
 

@@ -41,8 +41,9 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import ForceProfile, Plant
-from jaxstage.fields import definition, param, part, pytree, signal
+from jaxstage.model.blocks import ForceProfile, Plant
+from jaxstage.model.fields import definition, param, part, pytree, signal
+from jaxstage.model.signals import Output, Power
 from jaxstage.numerics.integrate import rk4, sdirk2
 from jaxstage.numerics.smooth import positive
 from jaxstage.plants.parts.lugre import (
@@ -52,7 +53,6 @@ from jaxstage.plants.parts.lugre import (
     friction_torque,
     implicit_step,
 )
-from jaxstage.signals import Output, Power
 
 AXES = "(axes,)"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from jaxstage.files import write_whole
+from jaxstage.model.signals import Sample
 from jaxstage.plot.axes import axes
 from jaxstage.plot.command import command
 from jaxstage.plot.contour import contour
@@ -17,9 +17,9 @@ from jaxstage.plot.space import space
 from jaxstage.plot.surface import surface
 from jaxstage.plot.view import View, view
 from jaxstage.plot.weights import weights
-from jaxstage.signals import Sample
 from jaxstage.studies import Case
 from jaxstage.studies.verdict import lost_because
+from jaxstage.system.files import write_whole
 
 #: the pictures of one run by name
 VIEWS = {

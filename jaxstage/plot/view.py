@@ -6,10 +6,10 @@ import jax
 import numpy as np
 
 from jaxstage import __version__
-from jaxstage.fields import leaves
 from jaxstage.metrics import columns
 from jaxstage.metrics.words import time_text
-from jaxstage.signals import Sample
+from jaxstage.model.fields import leaves
+from jaxstage.model.signals import Sample
 from jaxstage.studies import Case
 from jaxstage.studies.verdict import scored_text, verdict
 

@@ -7,7 +7,7 @@ cells is doubled until the length stands still. A cusp (C' = 0 with a reversal) 
 import jax
 import numpy as np
 
-from jaxstage.fields import pytree, signal
+from jaxstage.model.fields import pytree, signal
 from jaxstage.references.nurbs import Nurbs, degree, in_span
 
 ORDER = 10

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Reference
-from jaxstage.fields import param, pytree, replace
+from jaxstage.model.blocks import Reference
+from jaxstage.model.fields import param, pytree, replace
+from jaxstage.model.signals import Nearest
 from jaxstage.numerics.geometry import norm
 from jaxstage.references.motion import analytic
-from jaxstage.signals import Nearest
 
 
 @pytree

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Reference
+from jaxstage.model.blocks import Reference
+from jaxstage.model.signals import Nearest, Setpoint
 from jaxstage.numerics.geometry import bend, norm, projection_step, unit
 from jaxstage.references.nurbs import Nurbs, degree, in_span, span_of
-from jaxstage.signals import Nearest, Setpoint
 
 STEPS = 6
 

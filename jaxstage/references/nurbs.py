@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from jaxstage.fields import param, pytree
+from jaxstage.model.fields import param, pytree
 
 
 @pytree

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Reference
-from jaxstage.fields import param, pytree
+from jaxstage.model.blocks import Reference
+from jaxstage.model.fields import param, pytree
 from jaxstage.references.motion import analytic
 
 

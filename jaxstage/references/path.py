@@ -18,8 +18,9 @@ import numpy as np
 from jax import Array
 from numpy.typing import DTypeLike
 
-from jaxstage.blocks import Reference
-from jaxstage.fields import part, pytree, replace, signal
+from jaxstage.model.blocks import Reference
+from jaxstage.model.fields import part, pytree, replace, signal
+from jaxstage.model.signals import Nearest, Setpoint
 from jaxstage.numerics.geometry import norm, projection_step
 from jaxstage.references.arc import ArcTable, arc_at, arc_table, as_double, host_frame, spans
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
@@ -31,7 +32,6 @@ from jaxstage.references.segments import (
     smooth_pieces,
 )
 from jaxstage.references.timing import LapTiming, Ticks
-from jaxstage.signals import Nearest, Setpoint
 
 STEPS = 3  # Newton steps of the nearest point: exact for errors below 1 mm on these contours
 WINDOW = 0.01  # of the lap, either side

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxstage.fields import pytree, signal
+from jaxstage.model.fields import pytree, signal
 from jaxstage.references.arc import ArcTable, host_frame, parameter_at, spans
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxstage.fields import pytree, signal
+from jaxstage.model.fields import pytree, signal
 from jaxstage.references.arc import ArcTable, arc_at, arc_table, as_double, parameter_at
 from jaxstage.references.nurbs import Nurbs, in_span, span_of
 

@@ -23,10 +23,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Reference
-from jaxstage.fields import known, pytree
+from jaxstage.model.blocks import Reference
+from jaxstage.model.fields import known, pytree
+from jaxstage.model.signals import Nearest, Setpoint
 from jaxstage.numerics.geometry import bend, norm, projection_step
-from jaxstage.signals import Nearest, Setpoint
 
 STEPS = 6  # Newton, exact to rounding
 TERMS = 48  # of the arc length; they fall as 2^-n

@@ -4,7 +4,7 @@ import warnings
 
 import jax.numpy as jnp
 
-from jaxstage.settings import nearest_name
+from jaxstage.model.settings import nearest_name
 from jaxstage.studies import adaptive_smc as adaptive_smc
 from jaxstage.studies import fuzzy_ccc as fuzzy_ccc
 from jaxstage.studies import fuzzy_cmac as fuzzy_cmac

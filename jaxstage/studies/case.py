@@ -3,11 +3,11 @@
 import math
 from typing import Any, NamedTuple
 
-from jaxstage.blocks import Loop, Metric
-from jaxstage.fields import definition, replace
 from jaxstage.metrics import windowed
-from jaxstage.rollout import simulate
-from jaxstage.signals import Run, Scenario
+from jaxstage.model.blocks import Loop, Metric
+from jaxstage.model.fields import definition, replace
+from jaxstage.model.signals import Run, Scenario
+from jaxstage.simulate.rollout import simulate
 
 
 @definition

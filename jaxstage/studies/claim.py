@@ -8,7 +8,7 @@ no simulation can decide is `unchecked`, with the reason.
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from jaxstage.fields import definition
+from jaxstage.model.fields import definition
 
 #: name of a simulated case -> its figures, as `columns` gives them
 Evidence = Mapping[str, Mapping[str, Any]]

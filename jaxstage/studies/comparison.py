@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 
 import jax
 
-from jaxstage.runtime import cpu_cores
 from jaxstage.studies.claim import Evidence, Judgement, judge
 from jaxstage.studies.experiment import Experiment
 from jaxstage.studies.packaged import packaged_toml
 from jaxstage.studies.study import Study
+from jaxstage.system.runtime import cpu_cores
 
 
 class Comparison(NamedTuple):

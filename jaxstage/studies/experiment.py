@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.batch import rollouts
-from jaxstage.fields import definition
 from jaxstage.metrics import columns
+from jaxstage.model.fields import definition
+from jaxstage.simulate.batch import rollouts
 from jaxstage.studies.case import Case
 from jaxstage.studies.claim import Evidence
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.settings import known_leaves, replaced
+from jaxstage.model.settings import known_leaves, replaced
 from jaxstage.studies.case import Case
 from jaxstage.studies.study import Spread
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxstage.metrics import columns
-from jaxstage.rollout import simulate
+from jaxstage.simulate.rollout import simulate
 from jaxstage.studies.case import Case
 from jaxstage.studies.packaged import packaged_toml
 

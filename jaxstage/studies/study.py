@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from jaxstage.blocks import Metric
-from jaxstage.fields import definition
+from jaxstage.model.blocks import Metric
+from jaxstage.model.fields import definition
 from jaxstage.studies.case import Case, Timing
 from jaxstage.studies.claim import Claim
 from jaxstage.studies.experiment import ChartDrawing, Experiment, RunDrawing

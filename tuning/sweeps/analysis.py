@@ -7,22 +7,9 @@ import jax
 import numpy as np
 import pyarrow as pa
 
-from jaxstage.settings import nearest_name
-from tuning.designs import DESIGNS
-from tuning.specification import Specification, parse
-from tuning.statistics import (
-    Claim,
-    Comparison,
-    Figures,
-    Share,
-    claim,
-    figures,
-    paired,
-    share,
-)
+from jaxstage.model.settings import nearest_name
 from tuning.sweeps import store
 from tuning.sweeps.configuration import Plan
-from tuning.sweeps.rows import figure_names
 from tuning.sweeps.sensitivity import (
     Indices,
     Tornado,
@@ -31,6 +18,19 @@ from tuning.sweeps.sensitivity import (
     rank_correlation,
     sobol_indices,
     tornado,
+)
+from tuning.uncertainty.designs import DESIGNS
+from tuning.uncertainty.figure_table import figure_names
+from tuning.uncertainty.specification import Specification, parse
+from tuning.uncertainty.statistics import (
+    Claim,
+    Comparison,
+    Figures,
+    Share,
+    claim,
+    figures,
+    paired,
+    share,
 )
 
 #: what a sweep is judged by if nothing is asked: the first that its loops have

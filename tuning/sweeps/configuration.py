@@ -17,16 +17,16 @@ import jax
 import numpy as np
 
 from jaxstage import __version__
-from jaxstage.batch import spread_axes
-from jaxstage.check import check
-from jaxstage.settings import plain_toml
+from jaxstage.model.settings import plain_toml
+from jaxstage.model.validate import check
+from jaxstage.simulate.batch import spread_axes
 from jaxstage.studies import Case, find
-from tuning.blocks import with_max_delay
-from tuning.cases import case_of, case_table
-from tuning.designs import DESIGNS
-from tuning.runs import prepare
-from tuning.scenario_file import ScenarioFile, place, read_scenario
-from tuning.scenarios import (
+from tuning.store.prepare import prepare
+from tuning.uncertainty.case_table import case_of, case_table
+from tuning.uncertainty.designs import DESIGNS
+from tuning.uncertainty.scenario_blocks import with_max_delay
+from tuning.uncertainty.scenario_file import ScenarioFile, place, read_scenario
+from tuning.uncertainty.uncertain_space import (
     Batch,
     Space,
     batch,

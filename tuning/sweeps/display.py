@@ -14,9 +14,9 @@ from rich.progress import Progress as RichProgress
 from rich.table import Table
 
 from jaxstage.metrics.table import split_key
-from tuning.statistics import Claim, Interval, Share
 from tuning.sweeps.analysis import Analysis, LoopResult, choose_metric
 from tuning.sweeps.sweep import Progress
+from tuning.uncertainty.statistics import Claim, Interval, Share
 
 #: parameters that are named as the most important ones
 MOST = 4

@@ -8,10 +8,10 @@ import numpy as np
 from jaxstage import __version__
 from jaxstage.metrics.table import split_key
 from jaxstage.plot import save, sweep
-from tuning.folders import digest
-from tuning.statistics import Comparison
+from tuning.store.work_folder import digest
 from tuning.sweeps.analysis import Analysis, LoopResult
 from tuning.sweeps.display import share_text
+from tuning.uncertainty.statistics import Comparison
 
 
 def pictures(found: Analysis, folder: Path) -> list[Path]:

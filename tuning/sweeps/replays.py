@@ -11,18 +11,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import tomli_w
 
-from jaxstage.fields import replace
-from jaxstage.files import write_text
-from jaxstage.settings import nearest_name
+from jaxstage.model.fields import replace
+from jaxstage.model.settings import nearest_name
 from jaxstage.studies import Case, find
-from tuning.cases import with_values
-from tuning.runs import Prepared, execute
-from tuning.scenarios import run_seed
+from jaxstage.system.files import write_text
+from tuning.store.prepare import Prepared, execute
 from tuning.sweeps import store
 from tuning.sweeps.analysis import choose_metric, worst
 from tuning.sweeps.configuration import Plan, drawn_values
-from tuning.sweeps.rows import FLAGS
 from tuning.sweeps.sweep import simulate_rows
+from tuning.uncertainty.case_table import with_values
+from tuning.uncertainty.figure_table import FLAGS
+from tuning.uncertainty.uncertain_space import run_seed
 
 #: a replay is filled up to so many lanes, so that all of them share one program
 LANES = 64

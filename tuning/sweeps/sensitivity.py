@@ -15,12 +15,12 @@ import numpy as np
 from jax import Array
 from scipy import stats
 
-from jaxstage.fields import in_units_of, leaves, replace
-from jaxstage.gradients import select, value_and_gradient
 from jaxstage.metrics.table import key
-from jaxstage.rollout import simulate
+from jaxstage.model.fields import in_units_of, leaves, replace
+from jaxstage.simulate.gradients import select, value_and_gradient
+from jaxstage.simulate.rollout import simulate
 from jaxstage.studies import Case
-from tuning.scenarios import Space, Uncertain
+from tuning.uncertainty.uncertain_space import Space, Uncertain
 
 #: of the blocks of a Saltelli design, how many may hold a lost run before no index is given
 MOST_LOST = 0.1

@@ -14,9 +14,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from jaxstage.files import write_whole
-from tuning import folders
-from tuning.folders import digest
+from jaxstage.system.files import write_whole
+from tuning.store import work_folder as folders
+from tuning.store.work_folder import digest
 from tuning.sweeps.configuration import Plan
 
 KIND = folders.Kind("sweep.toml", "sweep", ("jaxstage", "precision", "runs", "loop"))

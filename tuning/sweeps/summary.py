@@ -4,10 +4,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from tuning.folders import digest
-from tuning.statistics import Interval, Share
+from tuning.store.work_folder import digest
 from tuning.sweeps.analysis import WORST, Analysis, LoopResult, worst
 from tuning.sweeps.sensitivity import Indices
+from tuning.uncertainty.statistics import Interval, Share
 
 
 def as_object(found: Analysis, folder: Path) -> dict[str, Any]:

@@ -17,12 +17,12 @@ import jaxlib.version
 import numpy as np
 import pyarrow as pa
 
-from jaxstage.batch import rollouts
-from jaxstage.runtime import configure, cpu_cores, processor
-from tuning.folders import digest
+from jaxstage.simulate.batch import rollouts
+from jaxstage.system.runtime import configure, cpu_cores, processor
+from tuning.store.work_folder import digest
 from tuning.sweeps import store
 from tuning.sweeps.configuration import Plan, batch_of, build, drawn_values
-from tuning.sweeps.rows import figure_columns, flag_columns, parameter_columns
+from tuning.uncertainty.figure_table import figure_columns, flag_columns, parameter_columns
 
 #: bytes that the results of one chunk may take before it is refused
 CHUNK_MEMORY = 2e9

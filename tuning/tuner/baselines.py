@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxstage.settings import nearest_name
+from jaxstage.model.settings import nearest_name
+from tuning.tuner.search.optimise import METHODS, Tuned, tune
 from tuning.tuner.session import Outcome, journal
-from tuning.tuner.tune import METHODS, Tuned, tune
 
 
 class Course(NamedTuple):

@@ -15,27 +15,36 @@ import jax
 
 from jaxstage import __version__
 from jaxstage.metrics.table import key
-from jaxstage.settings import nearest_name, plain_toml
+from jaxstage.model.settings import nearest_name, plain_toml
 from jaxstage.studies import Case
-from tuning.cases import case_of, case_table
-from tuning.folders import Kind
-from tuning.runs import prepare
-from tuning.scenario_file import read_scenario
-from tuning.tuner.cma import cma_es
-from tuning.tuner.figures import available
-from tuning.tuner.objective import RISKS, Goal, Term, parse_goals
+from tuning.store.prepare import prepare
+from tuning.store.work_folder import Kind
 from tuning.tuner.options import (
     default_objective,
     parse_gains,
     parse_objective,
     search_of,
 )
-from tuning.tuner.problem import WIDTH, Group, Problem, make_group, make_problem
-from tuning.tuner.sets import MOST_RUNS, Series, Wanted, same_law, scenarios, series, set_table
-from tuning.tuner.space import SearchSpace, default_searches, search_space
-from tuning.tuner.surrogate import NONE, SURROGATES
-from tuning.tuner.training import Asked, apart, read_sets, spreads_of
-from tuning.tuner.tune import AMONG, METHODS, least_budget
+from tuning.tuner.problem.default_sets import Asked, spreads_of
+from tuning.tuner.problem.objective import RISKS, Goal, Term, parse_goals
+from tuning.tuner.problem.problem import WIDTH, Group, Problem, make_group, make_problem
+from tuning.tuner.problem.scenario_set import (
+    MOST_RUNS,
+    Series,
+    Wanted,
+    same_law,
+    scenarios,
+    series,
+    set_table,
+)
+from tuning.tuner.problem.search_space import SearchSpace, default_searches, search_space
+from tuning.tuner.problem.set_file import apart, read_sets
+from tuning.tuner.problem.surrogate import NONE, SURROGATES
+from tuning.tuner.problem.training_metrics import available
+from tuning.tuner.search.cma_es import cma_es
+from tuning.tuner.search.optimise import AMONG, METHODS, least_budget
+from tuning.uncertainty.case_table import case_of, case_table
+from tuning.uncertainty.scenario_file import read_scenario
 
 KIND = Kind("tune.toml", "tuning", ("jaxstage", "loop"))
 #: plants among which the worst are looked for

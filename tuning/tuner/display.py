@@ -13,9 +13,9 @@ from rich.table import Table
 
 from jaxstage.metrics.table import split_key
 from tuning.tuner.baselines import Course, course
+from tuning.tuner.problem.search_space import Parameter, parameters
 from tuning.tuner.report import ACCEPTED, REFUSED, Extras, verdict_text
 from tuning.tuner.session import Now, Outcome, Watch
-from tuning.tuner.space import Parameter, parameters
 
 #: parameters that are printed; tune.json has all
 MOST = 24

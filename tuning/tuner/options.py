@@ -11,10 +11,10 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxstage.settings import nearest_name
-from tuning.tuner.objective import Term
-from tuning.tuner.space import Search
-from tuning.tuner.transforms import TRANSFORMS
+from jaxstage.model.settings import nearest_name
+from tuning.tuner.problem.objective import Term
+from tuning.tuner.problem.search_space import Search
+from tuning.tuner.problem.transforms import TRANSFORMS
 
 _FLAGS = ("tied", "fixed", *TRANSFORMS)
 _FORM = re.compile(

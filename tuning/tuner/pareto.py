@@ -12,14 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxstage.metrics.table import key
-from jaxstage.settings import nearest_name
+from jaxstage.model.settings import nearest_name
 from tuning.tuner.configuration import Plan
-from tuning.tuner.figures import available
-from tuning.tuner.fronts import hypervolume, knee, non_dominated, weights
-from tuning.tuner.objective import RISKS, Term
-from tuning.tuner.problem import Evaluation, Problem, evaluate, make_problem, with_weights
+from tuning.tuner.problem.objective import RISKS, Term
+from tuning.tuner.problem.problem import Evaluation, Problem, evaluate, make_problem, with_weights
+from tuning.tuner.problem.training_metrics import available
+from tuning.tuner.search.optimise import METHODS, tune
+from tuning.tuner.search.pareto_front import hypervolume, knee, non_dominated, weights
 from tuning.tuner.session import Outcome, journal
-from tuning.tuner.tune import METHODS, tune
 
 #: parts of an edge of the weights: 10 weightings of three figures
 STEPS = 3

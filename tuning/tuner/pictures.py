@@ -7,20 +7,20 @@ import jax
 
 from jaxstage import __version__
 from jaxstage.controllers.fuzzy_rules import OUTPUTS, fuzzy_laws, readable
-from jaxstage.files import write_text
 from jaxstage.metrics import record, together
 from jaxstage.metrics.table import columns, split_key
+from jaxstage.model.signals import Run
 from jaxstage.plot import rule_surface, save, sweep, tuning, view
-from jaxstage.signals import Run
 from jaxstage.studies import Case, with_metric
 from jaxstage.studies.verdict import lost_because
-from tuning.folders import digest
+from jaxstage.system.files import write_text
+from tuning.store.work_folder import digest
 from tuning.tuner.baselines import Course, course
 from tuning.tuner.pareto import Front
+from tuning.tuner.problem.search_space import parameters
+from tuning.tuner.problem.transforms import logarithmic
 from tuning.tuner.report import Extras, verdict_text
 from tuning.tuner.session import Outcome
-from tuning.tuner.space import parameters
-from tuning.tuner.transforms import logarithmic
 
 
 class Pair(NamedTuple):

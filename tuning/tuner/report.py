@@ -11,16 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxstage import __version__
-from jaxstage.files import write_text
 from jaxstage.metrics.table import split_key
-from tuning.folders import digest
-from tuning.gains_file import TunedGain, to_text
-from tuning.statistics import Interval
+from jaxstage.system.files import write_text
+from tuning.store.gains_file import TunedGain, to_text
+from tuning.store.work_folder import digest
 from tuning.tuner.baselines import Course, course
-from tuning.tuner.judging import HeldOut, Trial
+from tuning.tuner.evidence.validation import HeldOut, Trial
 from tuning.tuner.pareto import Front
+from tuning.tuner.problem.search_space import parameters
 from tuning.tuner.session import Outcome
-from tuning.tuner.space import parameters
+from tuning.uncertainty.statistics import Interval
 
 #: the files of tuned gains: accepted ones, and those that were refused
 ACCEPTED, REFUSED = "gains.toml", "refused-gains.toml"

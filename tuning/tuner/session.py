@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from tuning.sweeps.rows import figure_names
 from tuning.tuner.configuration import (
     Plan,
     fresh_runs,
@@ -21,8 +20,8 @@ from tuning.tuner.configuration import (
     runs_of,
     validation,
 )
-from tuning.tuner.diagnostics import Diagnostics, diagnose
-from tuning.tuner.judging import (
+from tuning.tuner.evidence.diagnostics import Diagnostics, diagnose
+from tuning.tuner.evidence.validation import (
     HeldOut,
     Judged,
     Trial,
@@ -35,11 +34,12 @@ from tuning.tuner.judging import (
     refusals,
     trial_refusals,
 )
-from tuning.tuner.problem import Evaluation, Group, Problem, evaluate
-from tuning.tuner.sets import Series, series
-from tuning.tuner.surrogate import NONE
-from tuning.tuner.tune import METHODS, Progress, Tuned, tune
-from tuning.tuner.worst_case import worst_plants
+from tuning.tuner.evidence.worst_case import worst_plants
+from tuning.tuner.problem.problem import Evaluation, Group, Problem, evaluate
+from tuning.tuner.problem.scenario_set import Series, series
+from tuning.tuner.problem.surrogate import NONE
+from tuning.tuner.search.optimise import METHODS, Progress, Tuned, tune
+from tuning.uncertainty.figure_table import figure_names
 
 #: how far gains may go from those before to those found; nearer ones where tests refuse the end
 SHARES = (1.0, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.fields import definition, gain, pytree
+from jaxstage.model.fields import definition, gain, pytree
 from jaxstage.numerics.smooth import cell, within
 
 INTERVALS = 9

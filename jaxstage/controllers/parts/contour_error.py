@@ -32,9 +32,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.controllers.parts.surface import errors
-from jaxstage.fields import definition, gain, pytree, signal
+from jaxstage.model.fields import definition, gain, pytree, signal
+from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.geometry import dot, normal_part
-from jaxstage.signals import Measurement, Setpoint
 
 AXES = "(axes,)"
 

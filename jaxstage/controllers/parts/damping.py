@@ -40,7 +40,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
-from jaxstage.fields import definition, gain, pytree
+from jaxstage.model.fields import definition, gain, pytree
 from jaxstage.numerics.smooth import away_from_zero, within
 
 #: psi(commanded velocity, measured velocity), both in m/s

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.controllers.parts.surface import errors
-from jaxstage.fields import definition, pytree, signal
-from jaxstage.signals import Measurement, Setpoint
+from jaxstage.model.fields import definition, pytree, signal
+from jaxstage.model.signals import Measurement, Setpoint
 
 
 @definition

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.fields import gain, pytree
+from jaxstage.model.fields import gain, pytree
 
 #: names of seven sets, from negative big to positive big
 LABELS = ("NB", "NM", "NS", "ZO", "PS", "PM", "PB")

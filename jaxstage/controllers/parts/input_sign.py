@@ -17,7 +17,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.fields import definition, pytree, signal
+from jaxstage.model.fields import definition, pytree, signal
 from jaxstage.numerics.smooth import sign
 
 

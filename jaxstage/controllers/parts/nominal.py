@@ -2,7 +2,7 @@
 
 from jax import Array
 
-from jaxstage.fields import known, pytree
+from jaxstage.model.fields import known, pytree
 
 
 @pytree

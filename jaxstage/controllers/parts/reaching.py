@@ -28,7 +28,7 @@ from typing import Any
 
 from jax import Array
 
-from jaxstage.fields import definition, gain, pytree
+from jaxstage.model.fields import definition, gain, pytree
 from jaxstage.numerics.smooth import away_from_zero, beyond, magnitude, switched, within
 
 

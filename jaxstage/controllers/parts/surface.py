@@ -2,7 +2,7 @@
 
 from jax import Array
 
-from jaxstage.signals import Measurement, Setpoint
+from jaxstage.model.signals import Measurement, Setpoint
 
 
 def errors(setpoint: Setpoint, measurement: Measurement) -> tuple[Array, Array]:

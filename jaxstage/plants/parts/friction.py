@@ -19,7 +19,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.fields import definition, param, pytree
+from jaxstage.model.fields import definition, param, pytree
 
 AXES = "(axes,)"
 

@@ -22,7 +22,7 @@ equation (3); the implicit step is derived here.
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.fields import param, pytree
+from jaxstage.model.fields import param, pytree
 from jaxstage.numerics.smooth import magnitude, sign
 
 AXES = "(axes,)"

@@ -20,7 +20,7 @@ substep, and the inductance as nothing; a lag is the business of the drive.
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.fields import param, pytree
+from jaxstage.model.fields import param, pytree
 from jaxstage.numerics.smooth import clamp, positive
 
 AXES = "(axes,)"

@@ -8,14 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Loop, Metric
 from jaxstage.controllers import nonlinear_surface, per_axis
 from jaxstage.controllers.parts import damping, error_rate, reaching
 from jaxstage.controllers.parts.damping import FinalDamping
 from jaxstage.controllers.parts.reaching import FixedGain
-from jaxstage.drives import CurrentDrive, current_drive
-from jaxstage.fields import replace
-from jaxstage.loads import no_load
+from jaxstage.hardware.drives import CurrentDrive, current_drive
+from jaxstage.hardware.loads import no_load
+from jaxstage.hardware.sensors import Encoder, Noisy, encoder, noisy
 from jaxstage.metrics import (
     columns,
     contour,
@@ -29,12 +28,13 @@ from jaxstage.metrics import (
 )
 from jaxstage.metrics.spectrum import HighFrequency
 from jaxstage.metrics.tracking import following_error
+from jaxstage.model.blocks import Loop, Metric
+from jaxstage.model.fields import replace
+from jaxstage.model.signals import Sample
 from jaxstage.numerics.integrate import rk4
 from jaxstage.plants import screw_table
 from jaxstage.references import trifolium
-from jaxstage.sensors import Encoder, Noisy, encoder, noisy
-from jaxstage.signals import Sample
-from jaxstage.stability import spectral_radius, stability_limit, transition
+from jaxstage.simulate.stability import spectral_radius, stability_limit, transition
 from jaxstage.studies.adaptive_smc import values
 from jaxstage.studies.adaptive_smc.loops import (
     CUTOFF,

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Loop, Metric, Sensor
 from jaxstage.controllers import nonlinear_surface, per_axis
 from jaxstage.controllers.parts import error_rate, reaching
 from jaxstage.controllers.parts.damping import (
@@ -27,14 +26,15 @@ from jaxstage.controllers.parts.reaching import (
     IntegralGain,
     ReachingGain,
 )
-from jaxstage.drives import current_drive
-from jaxstage.loads import no_load
+from jaxstage.hardware.drives import current_drive
+from jaxstage.hardware.loads import no_load
+from jaxstage.hardware.sensors import Encoder, encoder, ideal_sensor
 from jaxstage.metrics import between, high_frequency, reaching_gain, standard
+from jaxstage.model.blocks import Loop, Metric, Sensor
 from jaxstage.numerics.smooth import Layer, SmoothWidth, Switch, exact, implicit, smooth
 from jaxstage.plants import ScrewTable, screw_table
 from jaxstage.references import Trifolium, constant_feed_phase, trifolium, uniform_phase
 from jaxstage.references.trifolium import Phase, length
-from jaxstage.sensors import Encoder, encoder, ideal_sensor
 from jaxstage.studies.adaptive_smc import values
 from jaxstage.studies.case import Case, Timing, Window, check_timing, scored, window
 from jaxstage.studies.study import Box, NamedLoop, Spread

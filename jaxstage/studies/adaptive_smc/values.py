@@ -14,11 +14,11 @@ from jax import Array
 from jaxstage.controllers import NonlinearSurface, RigidAxis
 from jaxstage.controllers.parts.damping import BoundedDamping
 from jaxstage.controllers.parts.reaching import AdaptiveGain, FixedGain, IntegralGain
-from jaxstage.drives import CurrentDrive
-from jaxstage.fields import replace
+from jaxstage.hardware.drives import CurrentDrive
+from jaxstage.model.fields import replace
+from jaxstage.model.signals import Scenario, Start
 from jaxstage.plants import CreepingFriction, Motor, ScrewTable
 from jaxstage.references import Trifolium, make_trifolium
-from jaxstage.signals import Scenario, Start
 
 #: control period in s, published
 DT = 5e-3

@@ -14,7 +14,7 @@ from jaxstage.controllers.parts.fuzzy import (
     set_names,
     strengths,
 )
-from jaxstage.fields import replace
+from jaxstage.model.fields import replace
 from jaxstage.studies.case import Timing
 from jaxstage.studies.claim import Evidence
 from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing

@@ -8,9 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Controller, Metric
 from jaxstage.controllers import disturbance_observer, fuzzy_pid_contour, pd, per_axis, plus
-from jaxstage.fields import replace
 from jaxstage.metrics import (
     columns,
     command_change,
@@ -21,9 +19,11 @@ from jaxstage.metrics import (
     tangent_contour,
     together,
 )
+from jaxstage.model.blocks import Controller, Metric
+from jaxstage.model.fields import replace
+from jaxstage.model.settings import known_leaves, replaced
+from jaxstage.model.signals import Sample
 from jaxstage.numerics.smooth import exact
-from jaxstage.settings import known_leaves, replaced
-from jaxstage.signals import Sample
 from jaxstage.studies.case import Case, Timing, scored, with_metric
 from jaxstage.studies.claim import Evidence
 from jaxstage.studies.experiment import Experiment, measure, simulate_all

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Controller, Loop
 from jaxstage.controllers import (
     cross_coupled,
     disturbance_observer,
@@ -20,14 +19,15 @@ from jaxstage.controllers import (
     plus,
     sliding,
 )
-from jaxstage.drives import current_drive
-from jaxstage.loads import sine_load
+from jaxstage.hardware.drives import current_drive
+from jaxstage.hardware.loads import sine_load
+from jaxstage.hardware.sensors import ideal_sensor
 from jaxstage.metrics import command_change, contour_gains, standard
+from jaxstage.model.blocks import Controller, Loop
+from jaxstage.model.signals import Scenario
 from jaxstage.numerics.smooth import Switch, smooth
 from jaxstage.plants import pmlsm_stage
 from jaxstage.references import Helix, helical
-from jaxstage.sensors import ideal_sensor
-from jaxstage.signals import Scenario
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
 from jaxstage.studies.fuzzy_ccc import values
 from jaxstage.studies.study import Box, NamedLoop, Spread, no_notes

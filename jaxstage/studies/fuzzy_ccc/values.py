@@ -26,12 +26,12 @@ from jaxstage.controllers.fuzzy_pid_contour import Adaptation, Bounds, Rules, Sc
 from jaxstage.controllers.parts.fuzzy import consequents, seven_sets
 from jaxstage.controllers.parts.nominal import authority
 from jaxstage.controllers.parts.pid_rules import DERIVATIVE, INTEGRAL, PROPORTIONAL
-from jaxstage.drives import CurrentDrive
-from jaxstage.loads import SineLoad
+from jaxstage.hardware.drives import CurrentDrive
+from jaxstage.hardware.loads import SineLoad
+from jaxstage.model.signals import Scenario, Start
 from jaxstage.numerics.smooth import SmoothWidth
 from jaxstage.plants import PmlsmStage
 from jaxstage.references import Helix, helix
-from jaxstage.signals import Scenario, Start
 
 #: what the contour gains are at the start: K_P in 1/s2, K_I in 1/s3, K_D in 1/s (chosen)
 BASE = (1000.0, 5000.0, 10.0)

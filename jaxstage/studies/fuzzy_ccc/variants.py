@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxstage.controllers import fuzzy_pid_contour, pid_contour, scalar
 from jaxstage.controllers.parts.contour_error import Rounding
-from jaxstage.fields import replace
+from jaxstage.model.fields import replace
 from jaxstage.studies.case import Case
 from jaxstage.studies.fuzzy_ccc import values
 from jaxstage.studies.fuzzy_ccc.loops import TIMING, Law, build, coupling, coupling_gains, law

@@ -6,10 +6,10 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.fields import replace
-from jaxstage.loads import CouplingLoad, SineLoad, all_loads, coupling_load, sine_load
+from jaxstage.hardware.loads import CouplingLoad, SineLoad, all_loads, coupling_load, sine_load
 from jaxstage.metrics import contour as contour_error
 from jaxstage.metrics import effort, sliding_figures, together, tracking, windowed
+from jaxstage.model.fields import replace
 from jaxstage.studies.case import Case, Timing, scored, with_metric
 from jaxstage.studies.claim import Evidence
 from jaxstage.studies.experiment import Experiment, measure, measure_windows

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Controller, Loop
 from jaxstage.controllers import (
     Cascade,
     CmacSliding,
@@ -32,14 +31,15 @@ from jaxstage.controllers import (
     sliding,
 )
 from jaxstage.controllers.parts.cmac import SHAPE
-from jaxstage.drives import ideal_drive
-from jaxstage.loads import no_load
+from jaxstage.hardware.drives import ideal_drive
+from jaxstage.hardware.loads import no_load
+from jaxstage.hardware.sensors import ideal_sensor
 from jaxstage.metrics import standard
+from jaxstage.model.blocks import Controller, Loop
+from jaxstage.model.signals import Scenario, Start
 from jaxstage.plants import PmsmTable, pmsm_table
 from jaxstage.references import bowknot, circle, heart, make_path, sampled, star
 from jaxstage.references.timing import constant_feed, uniform_parameter
-from jaxstage.sensors import ideal_sensor
-from jaxstage.signals import Scenario, Start
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
 from jaxstage.studies.study import Box, NamedLoop, Spread
 

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Metric, Reference
 from jaxstage.controllers import per_axis
-from jaxstage.drives import current_drive
-from jaxstage.fields import param, pytree, replace
+from jaxstage.hardware.drives import current_drive
+from jaxstage.model.blocks import Metric, Reference
+from jaxstage.model.fields import param, pytree, replace
 from jaxstage.plants import two_inertia
 from jaxstage.references import analytic
 from jaxstage.studies.case import Case, window

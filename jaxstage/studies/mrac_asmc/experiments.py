@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxstage.controllers import position_input
-from jaxstage.fields import replace
+from jaxstage.model.fields import replace
 from jaxstage.numerics.smooth import Layer, implicit
 from jaxstage.studies.case import Case
 from jaxstage.studies.claim import Evidence

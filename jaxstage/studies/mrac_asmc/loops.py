@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.blocks import Controller, Loop, Metric
 from jaxstage.controllers import (
     AdaptiveSliding,
     ModelReference,
@@ -23,8 +22,9 @@ from jaxstage.controllers import (
     sliding,
 )
 from jaxstage.controllers.adaptive_sliding import sampled_gain
-from jaxstage.drives import current_drive
-from jaxstage.loads import no_load
+from jaxstage.hardware.drives import current_drive
+from jaxstage.hardware.loads import no_load
+from jaxstage.hardware.sensors import encoder, ideal_sensor, motor_side
 from jaxstage.metrics import (
     adapted,
     drive,
@@ -34,10 +34,10 @@ from jaxstage.metrics import (
     standard,
 )
 from jaxstage.metrics.amplitude import drive_chattering
+from jaxstage.model.blocks import Controller, Loop, Metric
 from jaxstage.plants import on_load, on_motor, two_inertia
 from jaxstage.plants.two_inertia import Side
 from jaxstage.references import swing, swinging
-from jaxstage.sensors import encoder, ideal_sensor, motor_side
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.study import Box, NamedLoop, Recorded, Spread

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxstage.blocks import Controller, Metric
 from jaxstage.controllers import (
     adaptive_sliding,
     cascade,
@@ -24,13 +23,14 @@ from jaxstage.controllers import (
     sliding,
 )
 from jaxstage.controllers.parts.input_sign import InputSign, forward
-from jaxstage.fields import replace
 from jaxstage.metrics import drive, quadrant_glitch, together, windowed
 from jaxstage.metrics.amplitude import amplitude_spectrum
 from jaxstage.metrics.drive import drive_error
+from jaxstage.model.blocks import Controller, Metric
+from jaxstage.model.fields import replace
+from jaxstage.model.signals import Sample
 from jaxstage.numerics.smooth import Switch, exact
 from jaxstage.references import step, stepping, swing
-from jaxstage.signals import Sample
 from jaxstage.studies.case import Case, window
 from jaxstage.studies.experiment import simulate_all
 from jaxstage.studies.mrac_asmc import values

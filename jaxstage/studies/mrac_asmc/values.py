@@ -26,12 +26,12 @@ from jaxstage.controllers import (
     RigidAxis,
     Sliding,
 )
-from jaxstage.drives import CurrentDrive
-from jaxstage.fields import replace
+from jaxstage.hardware.drives import CurrentDrive
+from jaxstage.hardware.sensors import Encoder
+from jaxstage.model.fields import replace
+from jaxstage.model.signals import Scenario, Start
 from jaxstage.numerics.smooth import Layer, SmoothWidth
 from jaxstage.plants import Lugre, TwoInertia
-from jaxstage.sensors import Encoder
-from jaxstage.signals import Scenario, Start
 
 #: control period in s, published (there called a frequency)
 DT = 0.48e-3

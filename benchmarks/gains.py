@@ -1,0 +1,107 @@
+"""``python -m benchmarks.gains``: single gains tuned on the systems that they come from.
+
+Each line is a `jaxstage tune` with its 100 held-out plants: figure before and after with interval,
+lost runs, energy, units and seconds. Minutes a line.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from .tables import table
+from .timing import machine
+
+ROOT = Path(__file__).parents[1]
+
+
+class Row(NamedTuple):
+    """What is tuned: a name for it, the loop, and further words of the command."""
+
+    name: str
+    loop: str
+    words: tuple[str, ...]
+
+
+ROWS = (
+    Row("c1", "dfcmac-circle", ("--gains", "c1")),
+    Row("r1", "dfcmac-circle", ("--gains", "r1")),
+    Row("sigma", "dfcmac-circle", ("--gains", "sigma")),
+    Row("eta", "dfcmac-circle", ("--gains", "eta")),
+    Row("all of it", "dfcmac-circle", ()),
+    Row("all of it", "cmac-circle", ()),
+    Row("all of it", "pi-circle", ()),
+    Row("cascade", "cascade-circle", ()),
+    Row("kappa", "smc-s7-implicit", ("--gains", "kappa")),
+    Row("lambda", "smc-s7-implicit", ("--gains", "lam")),
+    Row("beta", "smc-s7-implicit", ("--gains", "beta")),
+    Row("all of it", "smc-s7-implicit", ()),
+    Row("all, margin 0.25", "smc-s7-implicit", ("--margin", "0.25")),
+    Row("all of it", "asmc-floored-s7-implicit", ()),
+    Row("rules", "af-pid-ccc", ("--gains", "rules")),
+    Row("all but rules", "pid-ccc", ()),
+    Row("all of it", "af-pid-ccc", ()),
+    Row("all of it", "pd", ()),
+    Row("all of it", "asmc-mrac-caps", ()),
+    Row("cascade", "cascade", ()),
+)
+
+
+def tuned(row: Row, more: list[str]) -> dict[str, Any]:
+    """The JSON object of a command; what it refuses is in it, too."""
+    program = "from tuning.app.main import main; main()"
+    command = [sys.executable, "-c", program, "tune", row.loop, *row.words, *more, "--json"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False
+    )
+    if done.returncode:
+        raise RuntimeError(f"{row.loop}: {done.stderr.strip().splitlines()[-1]}")
+    return json.loads(done.stdout)
+
+
+def cells(row: Row, found: dict[str, Any]) -> list[str]:
+    """A line of the table."""
+    held, energy = found["held_out"], found["held_out"]["figures"].get("energy_J", {})
+    change = held["change"] or {}
+    saved = energy and 100 * (energy["after"] / energy["before"] - 1)
+    interval = [change.get(name) for name in ("value", "low", "high")]
+    told = " ".join("-" if x is None else f"{100 * x:.1f}" for x in interval)
+    before, after = (f"{held[name]['value']:.4g}" for name in ("before", "after"))
+    return [
+        row.name, row.loop, found["method"], str(found["n"]), f"{found['units']:.0f}",
+        f"{found['seconds']:.0f}", before, after, told,
+        f"{saved:+.2f}" if energy else "", str(held["lost"]),
+        "yes" if found["accepted"] else "no",
+    ]  # fmt: skip
+
+
+def main() -> None:
+    """Tune and print, line by line; with ``--json`` keep everything."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.gains", description=__doc__)
+    parser.add_argument("--only", nargs="*", help="names of lines")
+    parser.add_argument("--json", type=Path)
+    options, more = parser.parse_known_args()
+    print(machine())
+    kept, lines = [], []
+    for row in ROWS:
+        if options.only and row.name not in options.only:
+            continue
+        found = tuned(row, more)
+        kept.append({"row": row._asdict(), "found": found})
+        lines.append(cells(row, found))
+        print("  ".join(lines[-1]), flush=True)
+        if options.json:
+            options.json.write_text(json.dumps(kept, indent=1), encoding="utf-8")
+    head = [
+        "gain", "loop", "method", "n", "units", "s", "before um", "after um", "change % (95 %)",
+        "energy %", "lost", "accepted",
+    ]  # fmt: skip
+    print(table("held-out plants", head, lines))
+
+
+if __name__ == "__main__":
+    main()

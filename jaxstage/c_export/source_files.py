@@ -1,0 +1,208 @@
+"""Header, source and gains of a control law in C99."""
+
+import textwrap
+from typing import Any, NamedTuple
+
+from jaxstage.c_export.law_graph import STRUCTS, Function, Law, elements, read
+from jaxstage.c_export.structs import Member, declare, initialise
+from jaxstage.compiler.c99.emit import statements
+from jaxstage.compiler.c99.ops import number
+from jaxstage.compiler.c99.stores import Places, Result
+
+FUNCTIONS = ("init", "step", "settle")
+
+_PURPOSE = {
+    "gains": "What is tuned, and what the law assumes about the machine.",
+    "memory": "What the law carries from one period to the next.",
+    "setpoint": "The commanded motion of this period.",
+    "measurement": "What is measured in this period.",
+}
+
+
+class Identity(NamedTuple):
+    """What the files say of themselves. law: name of the controller. prefix: begins every name in
+    C. axes: their names. period: control period in s. version: of the program that writes them."""
+
+    loop: str
+    law: str
+    prefix: str
+    axes: tuple[str, ...]
+    period: float
+    command_unit: str
+    single: bool
+    version: str
+
+    @property
+    def mark(self) -> str:
+        """The first line of every file."""
+        return f"Written by jaxstage export, version {self.version}. Loop {self.loop}."
+
+    @property
+    def title(self) -> str:
+        """Law, axes and precision."""
+        axes = f"ax{'is' if len(self.axes) == 1 else 'es'} {', '.join(self.axes)}"
+        return f"{self.law}, {axes}, {'single' if self.single else 'double'} precision"
+
+
+def used(law: Law, group: str) -> tuple[Member, ...]:
+    """The members of a struct that any function of the law reads; of the memory, all."""
+    every: tuple[Member, ...] = getattr(law, group)
+    if group == "memory":
+        return every
+    heard = {(e.group, e.leaf) for function in law.functions for e in read(function)}
+    return tuple(member for leaf, member in enumerate(every) if (group, leaf) in heard)
+
+
+def unused(law: Law, group: str) -> tuple[str, ...]:
+    """The other members, by name."""
+    kept = used(law, group)
+    return tuple(m.name for m in getattr(law, group) if m.names not in {k.names for k in kept})
+
+
+def _arguments(law: Law, what: Identity) -> dict[str, list[str]]:
+    """The parameters of the three functions."""
+    p, n = what.prefix, law.axes
+    begin = [f"const {p}_gains *gains", f"{p}_memory *memory"]
+    seen = [f"const {p}_setpoint *setpoint", f"const {p}_measurement *measurement"]
+    told = [f"const {p}_real demand[{n}]", f"const {p}_real command[{n}]"]
+    return {
+        "init": [*begin, *seen],
+        "step": [*begin, *seen, f"{p}_real demand[{n}]"],
+        "settle": [*begin, *told],
+    }
+
+
+def _prototype(law: Law, what: Identity, name: str) -> str:
+    line, lines = f"void {what.prefix}_{name}(", []
+    for argument in _arguments(law, what)[name]:
+        if len(line) + len(argument) > 97:
+            lines.append(line.rstrip())
+            line = " " * 8
+        line += f"{argument}, "
+    return "\n".join([*lines, line.removesuffix(", ")]) + ")"
+
+
+def header(law: Law, what: Identity) -> str:
+    """The header: structs with units, the functions and when to call them."""
+    p = what.prefix
+    guard = f"{p.upper()}_H"
+    structs = []
+    for group in STRUCTS:
+        left = unused(law, group)
+        note = f" This law does not use: {', '.join(left)}." if left else ""
+        purpose = "\n * ".join(_wrapped(_PURPOSE[group] + note, 94))
+        structs.append(declare(used(law, group), f"{p}_{group}", purpose, f"{p}_real"))
+    blocks = [
+        f"/* {what.mark}\n *\n{_starred(_usage(law, what))} */",
+        f"#ifndef {guard}\n#define {guard}\n\n#include <stdbool.h>\n#include <stdint.h>",
+        '#ifdef __cplusplus\nextern "C" {\n#endif',
+        f"typedef {'float' if what.single else 'double'} {p}_real;",
+        f"/* axes: {', '.join(what.axes)} */\n#define {p.upper()}_AXES {law.axes}\n\n"
+        f"/* control period in s, part of the law */\n#define {p.upper()}_PERIOD "
+        f"{number(what.period, 'f', what.single)}",
+        *structs,
+        f"/* The gains that were exported, see {p}_gains.c. */\n"
+        f"extern const {p}_gains {p}_exported_gains;",
+        *(f"/* {text} */\n{_prototype(law, what, name)};" for name, text in _calls(law).items()),
+        "#ifdef __cplusplus\n}\n#endif\n\n#endif",
+    ]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _calls(law: Law) -> dict[str, str]:
+    calls = {
+        "init": "Once, with the first sample, before the first step.",
+        "step": "Once a period: the demand of each axis from the sample of this period.",
+    }
+    if law.settle is not None:
+        calls["settle"] = (
+            "Once a period, after step. demand: all that was demanded of the drive; command: what\n"
+            "   its limits left of it. Both are the same while nothing is limited."
+        )
+    return calls
+
+
+def call_order(law: Law, what: Identity) -> str:
+    """When to call the functions, as lines of C and words."""
+    p = what.prefix
+    last = f"  {p}_settle(&gains, &memory, demand, command);\n" if law.settle is not None else ""
+    return (
+        f"  {p}_init(&gains, &memory, &setpoint, &measurement);      before the first period\n\n"
+        f"  {p}_step(&gains, &memory, &setpoint, &measurement, demand);      in every period\n"
+        f"  command = demand within the limits of the drive\n{last}"
+    )
+
+
+def _usage(law: Law, what: Identity) -> str:
+    index = "" if law.axes == 1 else " The first index of what belongs to an axis is the axis."
+    return (
+        f"{what.title}, one call every {what.period:g} s.\n\n{call_order(law, what)}\n"
+        f"Units are SI; a demand has the unit {what.command_unit}.{index} No heap, no state but "
+        "the memory, no recursion, no input or output."
+    )
+
+
+def _starred(text: str) -> str:
+    lines = [part for line in text.splitlines() for part in (_wrapped(line, 94) or [""])]
+    return "".join(f" * {line}".rstrip() + "\n" for line in lines)
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    return textwrap.wrap(text, width, replace_whitespace=False, drop_whitespace=True)
+
+
+def source(law: Law, what: Identity) -> str:
+    """The functions. Raises ValueError for an operation that C99 does not have."""
+    helpers: dict[str, str] = {}
+    bodies = []
+    for name, function in zip(FUNCTIONS, law.functions, strict=False):
+        lines = _body(law, name, function, what, helpers)
+        bodies.append(f"{_prototype(law, what, name)}\n{{\n{lines}\n}}\n")
+    parts = [
+        f"/* {what.mark} */",
+        f'#include "{what.prefix}.h"\n\n#include <math.h>',
+        f"typedef {what.prefix}_real real;",
+        *(text.strip() for text in [*helpers.values(), *bodies]),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _body(law: Law, name: str, function: Function, what: Identity, helpers: dict[str, str]) -> str:
+    def array(leaf: int) -> str:
+        group, number = function.leaves[leaf]
+        return f"{group}->{getattr(law, group)[number].name}" if group in STRUCTS else group
+
+    def element(leaf: int, index: int) -> str:
+        group, number = function.leaves[leaf]
+        if group not in STRUCTS:
+            return f"{group}[{index}]"
+        return f"{group}->{getattr(law, group)[number].element(index)}"
+
+    leaves = {where: leaf for leaf, where in enumerate(function.leaves)}
+    results = [Result("demand", i, node) for i, node in enumerate(function.demand)]
+    for (place, member, index), node in zip(elements(law.memory), function.memory, strict=True):
+        old = (leaves["memory", place], index) if ("memory", place) in leaves else None
+        at = index if member.shape else None
+        results.append(Result(f"memory->{member.name}", at, node, old))
+    written = statements(results, Places(element, array), what.single)
+    helpers.update(written.helpers)
+    text = "\n".join(written.lines)
+    seen = ("demand", "command") if name == "settle" else ("setpoint", "measurement")
+    groups = ("gains", "memory", *seen)
+    ignored = [f"    (void){g};" for g in groups if f"{g}->" not in text and f"{g}[" not in text]
+    return "\n".join([*ignored, *written.lines])
+
+
+def gains_source(law: Law, what: Identity) -> str:
+    """The gains as an initialised constant."""
+    every, p = used(law, "gains"), what.prefix
+
+    def text(value: Any, kind: str) -> str:
+        return number(value, kind, what.single)
+
+    values = initialise(every, text)
+    include = "#include <math.h>\n\n" if "INFINITY" in values else ""
+    return (
+        f'/* {what.mark} */\n\n#include "{p}.h"\n\n{include}'
+        f"const {p}_gains {p}_exported_gains = {values};\n"
+    )

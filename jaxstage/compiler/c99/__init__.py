@@ -1,0 +1,1 @@
+"""Back end for controllers: plain C99 for one run."""

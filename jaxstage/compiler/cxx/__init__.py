@@ -1,0 +1,1 @@
+"""Back end for this processor: C++ kernels on vectors of runs."""

@@ -1,0 +1,355 @@
+"""A graph as C++ statements on vectors of runs.
+
+What a vector has for itself is named with `COPY`, which stands for its number among the vectors
+that go through time together.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from jaxstage.compiler.cxx.ops import constant, expression
+from jaxstage.compiler.ir.node import Node, ordered
+from jaxstage.compiler.passes.loop_reroll import Kinds, Roll, kinds, rolls
+from jaxstage.compiler.passes.store_forms import (
+    COPY,
+    Cells,
+    Put,
+    Rolled,
+    Store,
+    excluded,
+    guarded,
+    indexed,
+    rolled,
+)
+
+#: operations of any number of arguments
+GATHERED = ("all_finite", "sum")
+TYPES = {"f": "vec", "i": "ints", "u": "ints", "l": "ints", "b": "mask"}
+
+
+class Known(NamedTuple):
+    """Names of nodes that need no computing, by their numbers (of the place that an index means by
+    ``~number``), and of the reciprocals that some divisions use."""
+
+    names: dict[int, str]
+    reciprocals: dict[int, str]
+
+
+class _Writing(NamedTuple):
+    """What the statements of a function have in common. names: C text of what is computed; kinds:
+    what is alike; gathered: the loops of a sum or a claim of many parts, by its number."""
+
+    cells: Cells
+    known: Known
+    single: bool
+    prefix: str
+    names: dict[int, str]
+    kinds: Kinds
+    gathered: dict[int, list[Roll]]
+
+    def name(self, node: Node) -> str:
+        """C text of a node that is computed already."""
+        return constant(node) if node.op == "const" else self.names[node.id]
+
+    def reads(self, node: Node) -> Iterable[Node]:
+        """What must be computed before a node."""
+        if node.id in self.known.reciprocals:
+            return node.args[:1]
+        loops = self.gathered.get(node.id, ())
+        if not loops:
+            return node.args
+        inside = {m for loop in loops for m in loop.members}
+        rest = [a for i, a in enumerate(node.args) if i not in inside]
+        return [*rest, *(n for loop in loops for n in self.shared(loop.first))]
+
+    def shared(self, first: Node) -> list[Node]:
+        """What all rounds of a loop read."""
+        inner = self.inside(first)
+        return [a for n in inner for a in self.reads(n) if not self.kinds.cells[a.id]]
+
+    def inside(self, first: Node) -> list[Node]:
+        """What a round of a loop computes."""
+        return ordered([first], lambda n: [a for a in self.reads(n) if self.kinds.cells[a.id]])
+
+    def text(self, node: Node) -> str:
+        """C text of an operation."""
+        if node.id in self.known.reciprocals:
+            return f"{self.name(node.args[0])} * {self.known.reciprocals[node.id]}"
+        return expression(node, [self.name(a) for a in node.args], self.single)
+
+
+def copies(statements: list[str], count: int) -> list[str]:
+    """The statements for several vectors, one vector after the other in each: while one waits for a
+    result, the others compute. What is not of a vector is said once."""
+    return [
+        s.replace(COPY, str(u)) for s in statements for u in range(count if COPY in s else 1)
+    ]  # fmt: skip
+
+
+def write(
+    stores: Iterable[Store], cells: Cells, known: Known, single: bool, prefix: str = f"t{COPY}_"
+) -> list[str]:
+    """The statements that compute and store, each whole."""
+    stores = list(stores)
+    w = _writing(ordered([n for s in stores for n in s.needs]), cells, known, single, prefix)
+    loops: list[Rolled] = []
+    if cells.slot is not None:
+        loops, stores = rolled(stores, w.kinds, cells)
+    puts, plain = indexed(stores, cells)
+    several, plain = guarded(plain, cells)
+    roots = [n for s in [*plain, *puts] for n in s.needs]
+    roots += [n for own in several for s in own for n in s.needs]
+    roots += [n for loop in loops for n in w.shared(loop.roll.first)]
+    roots += [loop.store.where for loop in loops if loop.store.where is not None]
+    lines, at = _computed(w, ordered(roots, w.reads, known.names))
+    placed = [(p, at(p.index)) for p in puts]
+    for where in _conditions(several, loops):
+        own = [s for group in several for s in group if s.where is where]
+        never = [s for s in plain if excluded(s, where, cells)]
+        plain = [s for s in plain if s not in never]
+        lines.append(_guarded_stores(
+            w, where, own, [p for p in placed if p[0].where is where], never,
+            [loop for loop in loops if loop.store.where is where],
+        ))  # fmt: skip
+        placed = [p for p in placed if p[0].where is not where]
+    for put, place in placed:
+        where = "every(true)" if put.where is None else w.name(put.where)
+        lines.append(f"put({put.array}+{put.slot}, {place}, {where}, {w.name(put.value)});")
+    lines += [_rolled(w, x, None) for x in loops if x.store.where is None]
+    return [*lines, *(_stored(s, w.name(s.node)) for s in plain)]
+
+
+def computed(
+    nodes: list[Node], cells: Cells, known: Known, single: bool
+) -> tuple[list[str], Known]:
+    """The statements that compute nodes, and what is known after them."""
+    w = _writing(ordered(nodes), cells, known, single, f"t{COPY}_")
+    lines, _ = _computed(w, ordered(nodes, w.reads, known.names))
+    return lines, known._replace(names=w.names)
+
+
+def _writing(nodes: list[Node], cells: Cells, known: Known, single: bool, prefix: str) -> _Writing:
+    w = _Writing(cells, known, single, prefix, dict(known.names), kinds(nodes, known.names), {})
+    if cells.slot is not None:
+        for node in nodes:
+            if node.op in GATHERED and node.id not in known.names:
+                w.gathered[node.id] = rolls([*node.args], [0] * len(node.args), w.kinds, cells.slot)
+    return w
+
+
+def _conditions(several: list[list[Store]], loops: list[Rolled]) -> list[Node]:
+    found = [group[0].where for group in several] + [x.store.where for x in loops]
+    return list(dict.fromkeys(n for n in found if n is not None))
+
+
+def _computed(w: _Writing, nodes: list[Node]) -> tuple[list[str], Callable[[Node], str]]:
+    """The statements of the nodes, and how the place that an index means is named."""
+    loads: dict[int, list[Node]] = {}
+    for node in nodes:
+        if node.op == "load":
+            loads.setdefault(node.args[0].id, []).append(node)
+    lines: list[str] = []
+
+    def at(index: Node) -> str:
+        if index.op == "const":
+            return ""
+        if ~index.id not in w.names:
+            w.names[~index.id] = f"at{w.prefix}{index.id}"
+            lines.append(f"const Place {w.names[~index.id]} = place({w.name(index)});")
+        return w.names[~index.id]
+
+    for node in nodes:
+        if node.op == "const" or node.id in w.names:
+            continue
+        same_index = loads[node.args[0].id] if node.op == "load" else [node]
+        for own in same_index:
+            w.names[own.id] = f"{w.prefix}{own.id}"
+            if own.op == "loop":
+                lines.append(loop_text(own, nodes, w.names, w.cells, w.known, w.single, w.prefix))
+                continue
+            if own.op == "after":
+                text = _after(own, w.prefix)
+            elif own.op == "in":
+                text = w.cells.read(own)
+            elif own.op == "load":
+                text = _load(own, w.cells, at(own.args[0]))
+            elif own.op in GATHERED:
+                before, text = _gathered(w, own)
+                lines += before
+            else:
+                text = w.text(own)
+            lines.append(f"const {TYPES[own.kind]} {w.names[own.id]} = {text};")
+    return lines, at
+
+
+def _round(w: _Writing, roll: Roll) -> tuple[list[str], str]:
+    """Statements of a round of a loop over ``k``, and the text of what it gives."""
+    inner = w._replace(names=dict(w.names))
+    lines = []
+    for node in w.inside(roll.first):
+        inner.names[node.id] = f"{w.prefix}{node.id}"
+        if node.op == "in":
+            form, start, step = roll.cells[node.id]
+            text = form.format(f"({start}+{step}*k)")
+        else:
+            text = inner.text(node)
+        lines.append(f"const {TYPES[node.kind]} {w.prefix}{node.id} = {text};")
+    return lines, inner.name(roll.first)
+
+
+def _gathered(w: _Writing, node: Node) -> tuple[list[str], str]:
+    """A sum, or the claim that all parts are finite: 0 x is 0, or NaN."""
+    term = "all(0) * {}" if node.op == "all_finite" else "{}"
+    loops = w.gathered.get(node.id, [])
+    inside = {m for loop in loops for m in loop.members}
+    rest = [term.format(w.name(a)) for i, a in enumerate(node.args) if i not in inside]
+    total = " + ".join(rest) or "all(0)"
+    lines = []
+    if loops:
+        parts = f"{w.prefix}s{node.id}"
+        lines.append(f"vec {parts}[4] = {{{total}, all(0), all(0), all(0)}};")
+        for loop in loops:
+            own, text = _round(w, loop)
+            added = f"{parts}[k & 3] = {parts}[k & 3] + {term.format(text)};"
+            lines.append(block(f"for (int k = 0; k < {len(loop.members)}; k++)", [*own, added]))
+        total = f"({parts}[0] + {parts}[1]) + ({parts}[2] + {parts}[3])"
+    return lines, total if node.op == "sum" else f"finite({total})"
+
+
+def block(head: str, statements: list[str]) -> str:
+    """Statements in braces."""
+    return "\n  ".join([head + " {", *statements, "}"])
+
+
+def _rolled(w: _Writing, loop: Rolled, where: str | None) -> str:
+    """A loop of stores; only ``where``, if that is given."""
+    store, roll = loop.store, loop.roll
+    own, text = _round(w, roll)
+    cell = f"{store.array}[{store.slot}+{loop.step}*k]"
+    if where is not None:
+        text = f"pick({where}, {text}, {cell})"
+    put = f"{cell} {'+=' if store.add else '='} {text};"
+    return block(f"for (int k = 0; k < {len(roll.members)}; k++)", [*own, put])
+
+
+def _array_of(node: Node, name: str, prefix: str, number: int) -> str:
+    return f"{prefix}{name}{'i' if node.kind != 'f' else ''}{number}"
+
+
+def _after(node: Node, prefix: str) -> str:
+    name, *at = node.value
+    array = _array_of(node, name, prefix, node.args[0].value.number)
+    text = array + "".join(f"[{i}]" for i in at)
+    return f"as_mask({text})" if node.kind == "b" else text
+
+
+def _truth(node: Node, text: str) -> str:
+    return f"as_ints({text})" if node.kind == "b" else text
+
+
+def loop_text(
+    loop: Node, nodes: list[Node], names: dict[int, str], cells: Cells, known: Known, single: bool,
+    prefix: str,
+) -> str:  # fmt: skip
+    """A loop inside a tick: its arrays, and one round of it in a C loop."""
+    inner, number = loop.value, loop.value.number
+    used = sorted(_rows_used(loop, nodes))
+    lines = [
+        f"{kind} {prefix}c{i}{number}[{len(inner.begin)}], {prefix}y{i}{number}[{inner.length}]"
+        f"[{len(inner.rows)}], {prefix}x{i}{number}[{inner.length}][{len(inner.given)}];"
+        for kind, i in (("vec", ""), ("ints", "i"))
+    ]
+
+    def name(node: Node) -> str:
+        return constant(node) if node.op == "const" else names[node.id]
+
+    for at, node in enumerate(inner.begin):
+        lines.append(f"{_array_of(node, 'c', prefix, number)}[{at}] = {_truth(node, name(node))};")
+    for at, source in enumerate(inner.given):
+        for t, node in enumerate(source[1] if source[0] == "own" else ()):
+            array = _array_of(node, "x", prefix, number)
+            lines.append(f"{array}[{t}][{at}] = {_truth(node, name(node))};")
+    k = f"k{number}"
+    steps = (f"int {k} = {inner.length - 1}; {k} >= 0; {k}--" if inner.reverse
+             else f"int {k} = 0; {k} < {inner.length}; {k}++")  # fmt: skip
+
+    def read(node: Node) -> str:
+        (group, own), at = node.value
+        if group not in ("L", "X") or own != number:
+            return cells.read(node)
+        if group == "L":
+            text = f"{_array_of(node, 'c', prefix, number)}[{at}]"
+        elif inner.given[at][0] == "count":
+            _, first, step = inner.given[at]
+            text = f"same((whole)({first} + {step} * {k}))"
+        elif inner.given[at][0] == "rows":
+            _, before, cell = inner.given[at]
+            text = f"{_array_of(node, 'y', prefix, before.value.number)}[{k}][{cell}]"
+        else:
+            text = f"{_array_of(node, 'x', prefix, number)}[{k}][{at}]"
+        return f"as_mask({text})" if node.kind == "b" else text
+
+    stores = [
+        Store(_array_of(node, "c", prefix, number), at, node)
+        for at, node in enumerate(inner.inside)
+    ]
+    stores += [
+        Store(f"{_array_of(inner.rows[at], 'y', prefix, number)}[{k}]", at, inner.rows[at])
+        for at in used
+    ]
+    round_of = write(
+        stores, Cells(read, cells.array), Known(dict(names), known.reciprocals), single, prefix
+    )
+    return "\n  ".join([*lines, block(f"for ({steps})", round_of)])
+
+
+def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
+    """The cells of the rows that somebody reads."""
+    found = set()
+    for node in nodes:
+        if node.op == "after" and node.args[0] is loop and node.value[0] == "y":
+            found.add(node.value[2])
+        if node.op == "loop":
+            found |= {s[2] for s in node.value.given if s[0] == "rows" and s[1] is loop}
+    return found
+
+
+def _guarded_stores(
+    w: _Writing, condition: Node, stores: list[Store], puts: list[tuple[Put, str]],
+    never: list[Store], loops: list[Rolled],
+) -> str:  # fmt: skip
+    """Where the condition holds in every lane, as nearly always, there is nothing to select.
+
+    never: stores that change nothing where it holds.
+    """
+    where, name = w.name(condition), w.name
+    free = [f"{s.array}[{s.slot}] = {name(s.node)};" for s in stores]
+    free += [f"put({p.array}+{p.slot}, {at}, every(true), {name(p.value)});" for p, at in puts]
+    free += [_rolled(w, loop, None) for loop in loops]
+    held = [
+        f"{s.array}[{s.slot}] = pick({where}, {name(s.node)}, {s.array}[{s.slot}]);" for s in stores
+    ]
+    held += [f"put({p.array}+{p.slot}, {at}, {where}, {name(p.value)});" for p, at in puts]
+    held += [_rolled(w, loop, where) for loop in loops]
+    held += [_stored(s, name(s.node)) for s in never]
+    head = f"if (__builtin_expect(everywhere({where}), 1))"
+    return f"{block(head, free)} {block('else', held)}"
+
+
+def _load(node: Node, cells: Cells, place: str) -> str:
+    source, offset = node.value
+    array, slot = cells.array(source)
+    text = f"{array}+{slot + offset}"
+    if not place:
+        return f"look({text}, place(same({node.args[0].value})))"
+    found = f"look({text}, {place})"
+    return f"as_mask({found})" if node.kind == "b" else found
+
+
+def _stored(store: Store, text: str) -> str:
+    if store.node.kind == "b":
+        text = f"as_ints({text})"
+    if store.array.startswith("*"):  # a row of the output
+        kind = "store_ints" if store.node.kind != "f" else "store"
+        return f"{kind}({store.array[1:]}+{store.slot}*NB, {text});"
+    return f"{store.array}[{store.slot}] {'+=' if store.add else '='} {text};"

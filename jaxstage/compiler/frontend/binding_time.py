@@ -1,0 +1,167 @@
+"""A jaxpr cut into what all runs share, and what each run computes for itself.
+
+What depends on shared arrays and the tick alone is the same in every run: JAX computes it once.
+Calls are put in line first, and what nobody reads is left out.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxstage.compiler.frontend.jax_compat import CALLS, SAME, Literal, called, typed
+
+#: what a value depends on: nothing, shared arrays, the tick too, the run
+CONSTANT, FIXED, TICK, RUN = range(4)
+
+
+class Literally(NamedTuple):
+    """A number that stands in the program."""
+
+    value: Any
+
+
+class Step(NamedTuple):
+    """An equation; its values are known by their numbers."""
+
+    equation: Any
+    reads: tuple[Any, ...]
+    writes: tuple[int, ...]
+
+
+class Steps(NamedTuple):
+    """A program: its steps in order, the numbers of arguments and results, and its constants."""
+
+    steps: tuple[Step, ...]
+    arguments: tuple[int, ...]
+    results: tuple[Any, ...]
+    constants: dict[int, Any]
+
+
+class Parts(NamedTuple):
+    """steps, and the level (`CONSTANT` .. `RUN`) of each value."""
+
+    program: Steps
+    level: dict[int, int]
+
+    def of(self, value: Any) -> int:
+        """The level of a value or literal."""
+        return CONSTANT if isinstance(value, Literally) else self.level[value]
+
+    def shared(self, level: int) -> list[Step]:
+        """The steps of one level."""
+        return [s for s in self.program.steps if self._own(s) == level]
+
+    def own(self) -> list[Step]:
+        """The steps that every run takes, and those on constants."""
+        return [s for s in self.program.steps if self._own(s) in (CONSTANT, RUN)]
+
+    def _own(self, step: Step) -> int:
+        return max((self.of(v) for v in step.reads), default=CONSTANT)
+
+    def handed(self) -> list[int]:
+        """Values that all runs share and that the steps of a run, or the results, need."""
+        wanted = [v for s in self.own() for v in s.reads]
+        wanted += list(self.program.results)
+        return sorted({v for v in wanted if self.of(v) in (FIXED, TICK)})
+
+
+def in_line(closed: Any) -> Steps:
+    """The steps of a closed jaxpr, without calls and without what nobody reads."""
+    steps: list[Step] = []
+    constants: dict[int, Any] = {}
+    known: dict[Any, tuple[int, ...]] = {}
+    count = iter(range(1 << 60))
+
+    def walk(jaxpr: Any, consts: Any, reads: list[Any]) -> list[Any]:
+        env: dict[Any, Any] = dict(zip(jaxpr.invars, reads, strict=True))
+        for var, value in zip(jaxpr.constvars, consts, strict=True):
+            env[var] = next(count)
+            constants[env[var]] = value
+
+        def read(var: Any) -> Any:
+            if isinstance(var, Literal):
+                return Literally(typed(var))
+            return env[var]
+
+        for equation in jaxpr.eqns:
+            inputs = [read(v) for v in equation.invars]
+            if equation.primitive.name in SAME:
+                env.update(zip(equation.outvars, inputs, strict=True))
+                continue
+            if equation.primitive.name in CALLS and equation.params.get("name") != "floor_divide":
+                inner, held = called(equation.params)
+                env.update(zip(equation.outvars, walk(inner, held, inputs), strict=True))
+                continue
+            key = _key(equation, inputs)
+            if key not in known:
+                known[key] = tuple(next(count) for _ in equation.outvars)
+                steps.append(Step(equation, tuple(inputs), known[key]))
+            env.update(zip(equation.outvars, known[key], strict=True))
+        return [read(v) for v in jaxpr.outvars]
+
+    arguments = [next(count) for _ in closed.jaxpr.invars]
+    results = walk(closed.jaxpr, closed.consts, list(arguments))
+    return Steps(_needed(steps, results), tuple(arguments), tuple(results), constants)
+
+
+def _key(equation: Any, reads: list[Any]) -> Any:
+    """What two equations have in common that compute the same; nothing where one holds others."""
+    params = equation.params
+    if any(hasattr(v, "eqns") or (isinstance(v, tuple | list) and any(
+        hasattr(x, "eqns") for x in v)) for v in params.values()):  # fmt: skip
+        return id(equation), object()
+    same = [
+        (type(v.value).__name__, str(getattr(v.value, "dtype", "")), str(v.value))
+        if isinstance(v, Literally) else v
+        for v in reads
+    ]  # fmt: skip
+    return equation.primitive.name, str(params), tuple(same)
+
+
+def _needed(steps: list[Step], results: list[Any]) -> tuple[Step, ...]:
+    wanted = {v for v in results if isinstance(v, int)}
+    kept = []
+    for step in reversed(steps):
+        if wanted.intersection(step.writes):
+            kept.append(step)
+            wanted.update(v for v in step.reads if isinstance(v, int))
+    return tuple(reversed(kept))
+
+
+def counters(program: Steps, carry: range) -> tuple[int, ...]:
+    """Numbers of the carried integers that every tick raises by one.
+
+    carry: positions of the carry among the arguments; it comes first among the results.
+    """
+    made = {w: s for s in program.steps for w in s.writes}
+    found = []
+    for number, position in enumerate(carry):
+        result = program.results[number]
+        step = made.get(result) if isinstance(result, int) else None
+        if step is None or step.equation.primitive.name != "add":
+            continue
+        whole = np.issubdtype(step.equation.outvars[0].aval.dtype, np.integer)
+        a, b = step.reads
+        one = isinstance(b, Literally) and np.ndim(b.value) == 0 and b.value == 1
+        if whole and one and a == program.arguments[position]:
+            found.append(number)
+    return tuple(found)
+
+
+def cut(program: Steps, levels: list[int]) -> Parts:
+    """The program with the level of every value, from those of its arguments."""
+    level = dict(zip(program.arguments, levels, strict=True))
+    level |= dict.fromkeys(program.constants, CONSTANT)
+    for step in program.steps:
+        top = max((level[v] for v in step.reads if not isinstance(v, Literally)), default=CONSTANT)
+        level |= dict.fromkeys(step.writes, top)
+    return Parts(program, level)
+
+
+def run(steps: list[Step], values: dict[int, Any]) -> None:
+    """Evaluate steps with JAX, adding to the values."""
+    for step in steps:
+        reads = [v.value if isinstance(v, Literally) else values[v] for v in step.reads]
+        result = step.equation.primitive.bind(*reads, **step.equation.params)
+        many = step.equation.primitive.multiple_results
+        values.update(zip(step.writes, result if many else [result], strict=True))

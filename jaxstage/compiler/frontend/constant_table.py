@@ -1,0 +1,36 @@
+"""An array that stays in memory: too large to be written out as scalars, read by index."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxstage.compiler.ir.graph import Graph
+from jaxstage.compiler.ir.node import Node
+
+#: the largest one whose elements may be named one by one
+WRITTEN_OUT = 4096
+
+
+class Table(NamedTuple):
+    """source: what the nodes `load` name it; kind: of its elements, in C order."""
+
+    source: Any
+    shape: tuple[int, ...]
+    kind: str
+
+
+def element(graph: Graph, table: Table, position: int) -> Node:
+    """One element at a fixed position."""
+    return graph.load(table.source, position, graph.const(0, "i"), table.kind)
+
+
+def cells_of(graph: Graph, value: Any) -> np.ndarray:
+    """The array of nodes; a table is written out. Raises NotImplementedError for a large one."""
+    if not isinstance(value, Table):
+        return value
+    out = np.empty(value.shape, object)
+    if out.size > WRITTEN_OUT:
+        raise NotImplementedError(f"arithmetic on a whole table of {out.size} numbers")
+    for position, index in enumerate(np.ndindex(*value.shape)):
+        out[index] = element(graph, value, position)
+    return out

@@ -1,0 +1,1 @@
+"""Intermediate representation: a graph of scalars, its simplification and intervals."""

@@ -1,0 +1,1 @@
+"""Passes over a graph: loop rerolling, store forms, specialisation."""

@@ -1,0 +1,1 @@
+"""Toolchain, launch of kernels, and the JAX primitives that carry them."""

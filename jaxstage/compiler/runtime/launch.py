@@ -1,0 +1,357 @@
+"""Kernels under JAX arrays: packing runs into lanes, numbers of the ticks, long runs in pieces."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from jaxstage.compiler.cxx.kernels import TOGETHER, Kernel
+from jaxstage.compiler.frontend.binding_time import CONSTANT, FIXED, TICK, run
+from jaxstage.compiler.frontend.step_program import Program, row_structure
+from jaxstage.compiler.runtime.toolchain import build
+
+#: lanes of the widest vector of any processor, in single and double: batches are padded to them
+WIDEST = {True: 16, False: 8}
+#: the most numbers of ticks that are kept at once
+KEPT = 2**18
+
+
+class Call(NamedTuple):
+    """One call of a kernel. batched: which leaves have a leading axis of ``runs``; args: the
+    leaves; fixed: the values that all runs and ticks share."""
+
+    program: Program
+    kernel: Kernel
+    batched: tuple[bool, ...]
+    runs: int
+    ticks: int
+    args: tuple[Any, ...]
+    fixed: dict[int, Any]
+
+    @property
+    def real(self) -> Any:
+        """The type of its reals."""
+        return np.float32 if self.program.single else np.float64
+
+    @property
+    def lanes(self) -> int:
+        """Runs, padded to whole vectors; many, to vectors that go through time together."""
+        return self.vectors * WIDEST[self.program.single]
+
+    @property
+    def vectors(self) -> int:
+        """Vectors of the widest processor that hold the runs."""
+        return vectors(self.program, self.runs)
+
+    @property
+    def piece(self) -> int:
+        """Ticks whose numbers are kept at once."""
+        slots = self.kernel.layout.groups["r"]
+        return max(KEPT // (len(slots.real) + len(slots.whole) + 1), 256)
+
+
+def vectors(program: Program, runs: int) -> int:
+    """Vectors of the widest processor that hold the runs; many, whole groups of `TOGETHER`."""
+    count = -(-runs // WIDEST[program.single])
+    return count if count < TOGETHER else count + -count % TOGETHER
+
+
+def call(
+    program: Program, kernel: Kernel, batched: tuple[bool, ...], runs: int, ticks: int, args: Any
+) -> Call:
+    """A call, with what JAX computes once for all runs and ticks."""
+    parts = kernel.lowered.parts
+    values = dict(parts.program.constants)
+    for number, value in enumerate(parts.program.arguments[: len(program.leaves)]):
+        if parts.of(value) == FIXED:
+            values[value] = args[number]
+    run([s for s in parts.shared(CONSTANT) if s.reads or s.writes], values)
+    run(parts.shared(FIXED), values)
+    return Call(program, kernel, batched, runs, ticks, tuple(args), values)
+
+
+# --- packing -----------------------------------------------------------------------------------
+
+
+def in_lanes(call: Call, leaf: Array, batched: bool, dtype: Any) -> Array:
+    """A leaf as (elements, lanes)."""
+    if batched:
+        flat = leaf.reshape(call.runs, -1).T
+        return jnp.pad(_as(flat, dtype), ((0, 0), (0, call.lanes - call.runs)), mode="edge")
+    return jnp.broadcast_to(_as(leaf, dtype).reshape(-1, 1), (leaf.size, call.lanes))
+
+
+def _as(array: Array, dtype: Any) -> Array:
+    if array.dtype == jnp.uint32:
+        return lax.bitcast_convert_type(array, jnp.int32)
+    return array.astype(dtype)
+
+
+def _stacked(rows: list[Array], lanes: int, dtype: Any) -> Array:
+    return jnp.concatenate(rows) if rows else jnp.zeros((0, lanes), dtype)
+
+
+def _chosen(slots: dict[tuple[int, int], int], take: Callable[[int], Array], empty: Array) -> Array:
+    """The rows of the slots in order. take(number): the (elements, ...) of an array."""
+    used: dict[int, list[int]] = {}
+    for number, element in slots:
+        used.setdefault(number, []).append(element)
+    if not used:
+        return empty
+    order = {}
+    for number, elements in used.items():
+        order |= {(number, e): len(order) + i for i, e in enumerate(elements)}
+    rows = jnp.concatenate([take(n)[np.array(e)] for n, e in used.items()])
+    index = np.array([order[key] for key in sorted(slots, key=lambda k: slots[k])])
+    return rows if (index == np.arange(len(index))).all() else rows[index]
+
+
+def parameters(call: Call) -> tuple[Array, Array]:
+    """P and PI."""
+    slots = call.kernel.layout.groups["p"]
+
+    def group(table: dict[tuple[int, int], int], dtype: Any) -> Array:
+        empty = jnp.zeros((0, call.lanes), dtype)
+        return _chosen(table, lambda n: in_lanes(call, call.args[n], call.batched[n], dtype), empty)
+
+    return group(slots.real, call.real), group(slots.whole, np.int32)
+
+
+def shared(call: Call) -> tuple[Array, Array]:
+    """S and SI."""
+    slots = call.kernel.layout.groups["s"]
+
+    def group(table: dict[tuple[int, int], int], dtype: Any) -> Array:
+        empty = jnp.zeros((0,), dtype)
+        return _chosen(table, lambda n: _as(call.fixed[n], dtype).reshape(-1), empty)
+
+    return group(slots.real, call.real), group(slots.whole, np.int32)
+
+
+def at_tick(call: Call, ahead: Any) -> dict[int, Any]:
+    """The values that all runs share at a tick, ``ahead`` of the first."""
+    program, low = call.program, call.kernel.lowered
+    values = dict(call.fixed)
+    for number in low.counter:
+        position = program.before + number
+        start = call.args[position]
+        values[low.parts.program.arguments[position]] = start + jnp.asarray(ahead, start.dtype)
+    run(low.parts.shared(TICK), values)
+    return values
+
+
+def of_ticks(call: Call, first: Any, count: int) -> tuple[Array, Array]:
+    """R and RI of ``count`` ticks."""
+    slots = call.kernel.layout.groups["r"]
+
+    def one(ahead: Array) -> tuple[Array, Array]:
+        values = at_tick(call, ahead)
+
+        def group(table: dict[tuple[int, int], int], dtype: Any) -> Array:
+            empty = jnp.zeros((0,), dtype)
+            return _chosen(table, lambda n: _as(values[n], dtype).reshape(-1), empty)
+
+        return group(slots.real, call.real), group(slots.whole, np.int32)
+
+    return jax.vmap(one)(first + jnp.arange(count, dtype=jnp.int32))
+
+
+def tables(call: Call) -> list[Array]:
+    """Arrays that the kernel reads by index."""
+    return [
+        call.fixed[v].astype(
+            call.real if jnp.issubdtype(call.fixed[v].dtype, jnp.floating) else np.int32
+        ).reshape(-1)
+        for v in call.kernel.lowered.tables
+    ]  # fmt: skip
+
+
+def carry(call: Call) -> tuple[Array, Array]:
+    """C and CI."""
+    program, out = call.program, {True: [], False: []}
+    for number, (real, _) in call.kernel.layout.carry.items():
+        position = program.before + number
+        dtype = call.real if real else np.int32
+        out[real].append(in_lanes(call, call.args[position], call.batched[position], dtype))
+    return (
+        _stacked(out[True], call.lanes, call.real), _stacked(out[False], call.lanes, np.int32)
+    )  # fmt: skip
+
+
+def unpack(call: Call, rows: Array, shapes: list[Any]) -> list[Array]:
+    """(slots, lanes) as arrays with the batch leading."""
+    out, at = [], 0
+    for leaf in shapes:
+        count = math.prod(leaf.shape)
+        part = rows[at : at + count, : call.runs].T.reshape(call.runs, *leaf.shape)
+        out.append(_back(part, leaf.dtype))
+        at += count
+    return out
+
+
+def _back(array: Array, dtype: Any) -> Array:
+    if dtype == jnp.uint32:
+        return lax.bitcast_convert_type(array, jnp.uint32)
+    return array.astype(dtype)
+
+
+# --- calling -----------------------------------------------------------------------------------
+
+
+def invoke(
+    call: Call, results: list[Any], first: Any, count: int, state: Any, more: tuple[Any, ...] = ()
+) -> list[Array]:
+    """The kernel over ``count`` ticks. results: shapes and types; more: derivatives."""
+    target = build(call.kernel.text(call.vectors)).target
+    shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in results]
+    numbers = of_ticks(call, first, count)
+    arguments = (*parameters(call), *shared(call), *numbers, *state, *tables(call), *more)
+    return list(jax.ffi.ffi_call(target, shapes)(*arguments))
+
+
+def pieces(
+    piece: Callable[[Any, Any, int], tuple[Any, Any]], state: Any, ticks: int, length: int
+) -> tuple[Any, Any]:
+    """Run the ticks in pieces of one length, and what is left over."""
+    if ticks <= length:
+        return piece(state, 0, ticks)
+    whole, rest = divmod(ticks, length)
+    firsts = jnp.arange(whole, dtype=jnp.int32) * length
+    state, rows = lax.scan(lambda s, first: piece(s, first, length), state, firsts)
+    rows = jax.tree.map(lambda r: r.reshape(whole * length, *r.shape[2:]), rows)
+    if rest:
+        state, last = piece(state, whole * length, rest)
+        rows = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), rows, last)
+    return state, rows
+
+
+def forward(
+    program: Program, kernel: Kernel, batched: tuple[bool, ...], runs: int, ticks: int, args: Any
+) -> list[Array]:
+    """Leaves of the carry and of the rows after the ticks, the batch leading."""
+    own = call(program, kernel, batched, runs, ticks, args)
+    counts = kernel.counts
+
+    def piece(state: Any, first: Any, count: int) -> Any:
+        c, ci = state
+        shapes = [
+            (c.shape, own.real), (ci.shape, np.int32),
+            ((count, counts["row"], own.lanes), own.real),
+            ((count, counts["rowi"], own.lanes), np.int32),
+        ]  # fmt: skip
+        c, ci, row, rowi = invoke(own, shapes, first, count, state)
+        return (c, ci), (row, rowi)
+
+    state, rows = pieces(piece, carry(own), ticks, own.piece)
+    return [*after(own, state), *stored(own, rows)]
+
+
+def tangent(
+    program: Program, kernel: Kernel, batched: tuple[bool, ...], runs: int, ticks: int,
+    moving: tuple[int, ...], args: Any,
+) -> list[Array]:  # fmt: skip
+    """Tangents of the real carry after the ticks. args: leaves, then tangents."""
+    count = len(program.leaves)
+    own = call(program, kernel, batched[:count], runs, ticks, args[:count])
+    q = _given(own, args[count : count + len(moving)], batched[count:])
+    d = _given(own, args[count + len(moving) :], batched[count + len(moving) :])
+
+    def piece(state: Any, first: Any, length: int) -> Any:
+        c, ci, d = state
+        shapes = [(c.shape, own.real), (ci.shape, np.int32), (d.shape, own.real)]
+        return tuple(invoke(own, shapes, first, length, (c, ci), (q, d))), None
+
+    (_, _, d), _ = pieces(piece, (*carry(own), d), ticks, own.piece)
+    return unpack(own, d, [program.carry[i] for i in program.real_carry])
+
+
+def pullback(
+    program: Program, kernels: tuple[Kernel, Kernel], batched: tuple[bool, ...], runs: int,
+    ticks: int, moving: tuple[int, ...], args: Any,
+) -> list[Array]:  # fmt: skip
+    """Cotangents of the moving leaves and of the real carry. kernels: back, and forward.
+
+    args: leaves, then cotangents of the real carry. Long runs go forward first, keeping the carry
+    at the start of every piece, then back piece by piece.
+    """
+    count = len(program.leaves)
+    backward, onward = (
+        call(program, k, batched[:count], runs, ticks, args[:count]) for k in kernels
+    )
+    g = _given(backward, args[count:], batched[count:])
+    leaves = [program.leaves[i] for i in moving]
+    a = jnp.zeros((sum(math.prod(x.shape) for x in leaves), backward.lanes), backward.real)
+    shapes = [(a.shape, backward.real), (g.shape, backward.real)]
+
+    def back(sums: Any, first: Any, length: int, state: Any) -> tuple[Array, Array]:
+        a, g = sums
+        more, g = invoke(backward, shapes, first, length, state, (g,))
+        return a + more, g
+
+    def on(state: Any, first: Any, length: int) -> Any:
+        c, ci = state
+        none = [((length, 0, onward.lanes), t) for t in (onward.real, np.int32)]
+        moved = invoke(
+            onward, [(c.shape, onward.real), (ci.shape, np.int32), *none], first, length, state
+        )
+        return (moved[0], moved[1]), state
+
+    state, length = carry(backward), backward.piece
+    if ticks <= length:
+        a, g = back((a, g), 0, ticks, state)
+    else:
+        whole, rest = divmod(ticks, length)
+        firsts = jnp.arange(whole, dtype=jnp.int32) * length
+        state, kept = lax.scan(lambda s, first: on(s, first, length), state, firsts)
+        if rest:
+            a, g = back((a, g), whole * length, rest, state)
+        (a, g), _ = lax.scan(
+            lambda s, at: (back(s, at[0], length, at[1]), None), (a, g), (firsts, kept),
+            reverse=True,
+        )  # fmt: skip
+    real = [program.carry[i] for i in program.real_carry]
+    return [*unpack(backward, a, leaves), *unpack(backward, g, real)]
+
+
+def _given(call: Call, leaves: Any, batched: Any) -> Array:
+    """Tangents or cotangents as (elements, lanes)."""
+    pairs = zip(leaves, batched[: len(leaves)], strict=True)
+    rows = [in_lanes(call, x, b, call.real) for x, b in pairs]
+    return _stacked(rows, call.lanes, call.real)
+
+
+def after(call: Call, state: Any) -> list[Array]:
+    """The leaves of the carry."""
+    program, kernel = call.program, call.kernel
+    found: dict[int, Array] = {}
+    for real, rows in zip((True, False), state, strict=True):
+        numbers = [n for n, (r, _) in kernel.layout.carry.items() if r == real]
+        leaves = unpack(call, rows, [program.carry[n] for n in numbers])
+        found.update(zip(numbers, leaves, strict=True))
+    for number in kernel.lowered.counter:
+        start = call.args[program.before + number]
+        found[number] = jnp.broadcast_to(start + jnp.asarray(call.ticks, start.dtype), (call.runs,))
+    return [found[n] for n in range(len(program.carry))]
+
+
+def stored(call: Call, rows: Any) -> list[Array]:
+    """The leaves of the rows: those of the kernel, and those that all runs share."""
+    program, low = call.program, call.kernel.lowered
+    out = []
+    for number, leaf in enumerate(row_structure(program)[1]):
+        shape = (call.runs, call.ticks, *leaf.shape)
+        if number in call.kernel.rows:
+            real, first = call.kernel.rows[number]
+            part = rows[0 if real else 1][:, first : first + math.prod(leaf.shape), : call.runs]
+            out.append(_back(jnp.moveaxis(part, -1, 0).reshape(shape), leaf.dtype))
+            continue
+        value = low.parts.program.results[len(program.carry) + number]
+        every = jax.vmap(lambda k, v=value: jnp.asarray(at_tick(call, k)[v], leaf.dtype))(  # noqa: B023
+            jnp.arange(call.ticks, dtype=jnp.int32)
+        )
+        out.append(jnp.broadcast_to(every[None], shape))
+    return out

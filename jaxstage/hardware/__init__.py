@@ -1,0 +1,1 @@
+"""Drives, sensors and loads around a plant."""

@@ -1,0 +1,101 @@
+"""The stage between controller and plant: limits, dead time, current-loop lag."""
+
+import functools
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxstage.model.blocks import Drive
+from jaxstage.model.fields import param, part, pytree, replace, signal
+from jaxstage.numerics.smooth import clamp
+
+
+def _ideal_init(params: tuple[()], demand: Array) -> tuple[()]:
+    return ()
+
+
+def _ideal_apply(
+    params: tuple[()], memory: tuple[()], demand: Array, dt: float
+) -> tuple[Array, Array, tuple[()]]:
+    return demand, demand, ()
+
+
+@pytree
+class CurrentDrive:
+    """Parameters of `current_drive`."""
+
+    limit: Array = param(
+        "1", "u_max", "largest command, in its unit", shape="(axes,)", above=0.0, infinite=True
+    )
+    delay: Array = param("1", "d", "dead time in whole control periods", low=0.0)
+    lag: Array = param("s", "tau", "time constant of the current loop", low=0.0)
+
+
+@pytree
+class CurrentMemory:
+    """Commands under way, newest first, and the output of the lag."""
+
+    queue: Array = signal("1", "u", "past commands", shape="(max_delay + 1, axes)")
+    lagged: Array = signal("1", "a", "output of the lag at the end of the period", shape="(axes,)")
+
+
+@functools.cache
+def current_drive(max_delay: int = 0) -> Drive:
+    """command = clip(demand, +-u_max); applied = command delayed by ``delay`` periods, then lagged.
+
+    The lag is tau a' = u - a; the plant gets its mean over the period, held: exact in impulse, for
+    any tau against dt. tau = 0 is none. The delay is data, up to the static ``max_delay``; before
+    the first command has arrived the plant sees 0. Raises ValueError for a negative ``max_delay``.
+    """
+    if max_delay < 0:
+        raise ValueError(f"max_delay must be >= 0, got {max_delay}")
+
+    def init(params: CurrentDrive, demand: Array) -> CurrentMemory:
+        zero = jnp.zeros_like(demand)
+        return CurrentMemory(queue=jnp.stack([zero] * (max_delay + 1)), lagged=zero)
+
+    def apply(
+        params: CurrentDrive, memory: CurrentMemory, demand: Array, dt: float
+    ) -> tuple[Array, Array, CurrentMemory]:
+        command = clamp(demand, params.limit)
+        queue = jnp.concatenate([command[None], memory.queue[:-1]])
+        arrived = queue[jnp.clip(params.delay, 0, max_delay).astype(jnp.int32)]
+        tau = jnp.where(params.lag > 0, params.lag, jnp.ones_like(params.lag))
+        zero = jnp.zeros_like(tau)
+        left = jnp.where(params.lag > 0, jnp.exp(-dt / tau), zero)
+        mean = jnp.where(params.lag > 0, -jnp.expm1(-dt / tau) * tau / dt, zero)
+        behind = memory.lagged - arrived
+        kept = CurrentMemory(queue=queue, lagged=arrived + left * behind)
+        return command, arrived + mean * behind, kept
+
+    return Drive(name="current_drive", init=init, apply=apply, max_delay=max_delay)
+
+
+#: Applies the demand as it is; params ``()``.
+ideal_drive = Drive(name="ideal_drive", init=_ideal_init, apply=_ideal_apply)
+
+
+@pytree
+class Amplified:
+    """Parameters of `amplified`."""
+
+    factor: Array = param("1", "k_u", "what reaches the plant over what was commanded")
+    drive: Any = part("parameters of the drive")
+
+
+@functools.cache
+def amplified(drive: Drive) -> Drive:
+    """A drive whose output is ``factor`` times what it should be, unknown to the law.
+
+    A loop that stays stable at factors 1/g .. g has a gain margin of g.
+    """
+
+    def init(params: Amplified, demand: Array) -> Any:
+        return drive.init(params.drive, demand)
+
+    def apply(params: Amplified, memory: Any, demand: Array, dt: float) -> tuple[Array, Array, Any]:
+        command, applied, after = drive.apply(params.drive, memory, demand, dt)
+        return command, params.factor * applied, after
+
+    return replace(drive, name=f"amplified[{drive.name}]", init=init, apply=apply)

@@ -1,0 +1,1 @@
+"""What a loop is made of: fields, signals, blocks, settings, validation."""

@@ -1,0 +1,229 @@
+"""Settings by name: paths, symbols and suffixes to leaves; TOML to settings and back."""
+
+import difflib
+import re
+import textwrap
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import tomli_w
+
+from jaxstage.model.fields import Quantity, is_pytree_data, leaves, replace
+from jaxstage.model.signals import Scenario
+
+#: parts of a scenario that settings reach
+SCENARIO_PARTS = ("plant", "load", "sensor", "drive", "start")
+#: what the settings of a motion begin with
+MOTION = "reference"
+
+
+def known_leaves(
+    gains: Any, scenario: Scenario, motion: Any = ()
+) -> dict[str, tuple[Quantity, Any]]:
+    """Every setting of a loop: full path -> (quantity, value).
+
+    motion: the path. Where it is computed in the loop, its sizes are settings, ``reference.``; its
+    times follow from the timing of the case.
+    """
+    found = {path: (q, v) for path, q, v in leaves(gains, "gains")}
+    for name in SCENARIO_PARTS:
+        found |= {path: (q, v) for path, q, v in leaves(getattr(scenario, name), name)}
+    return found | {
+        path: (q, v)
+        for path, q, v in leaves(motion, MOTION)
+        if q.role != "signal" and q.unit == "m"
+    }
+
+
+def resolve(
+    name: str, known: Mapping[str, tuple[Quantity, Any]], other_names: tuple[str, ...] = ()
+) -> str:
+    """The full path of a setting named by path, unique suffix, or symbol in place of its field.
+
+    other_names: what else the user may have meant, for the hint. Raises ValueError for an
+    unknown name, with the nearest known one, and for an ambiguous one, with all it may mean.
+    """
+    if name in known:
+        return name
+    matches = []
+    for path, (quantity, _) in known.items():
+        stem = path.rpartition(".")[0]
+        spellings = (path, f"{stem}.{quantity.symbol}")
+        if any(s == name or s.endswith("." + name) for s in spellings):
+            matches.append(path)
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        raise ValueError(f"'{name}' may mean {', '.join(matches)}: write it in full")
+    raise ValueError(
+        f"unknown setting '{name}'{nearest_name(name, [*other_names, *_spellings(known)])}"
+    )
+
+
+def _spellings(known: Mapping[str, tuple[Quantity, Any]]) -> list[str]:
+    names = []
+    for path, (quantity, _) in known.items():
+        stem, _, field = path.rpartition(".")
+        names += [path, field, f"{stem}.{quantity.symbol}"]
+    return names
+
+
+def nearest_name(name: str, names: Any) -> str:
+    """``; did you mean 'x'?`` with the nearest of the names, or an empty text."""
+    close = difflib.get_close_matches(name, list(names), n=1, cutoff=0.4)
+    return f"; did you mean '{close[0]}'?" if close else ""
+
+
+def apply(
+    gains: Any,
+    scenario: Scenario,
+    settings: Mapping[str, Any],
+    other_names: tuple[str, ...] = (),
+    motion: Any = (),
+) -> tuple[Any, Scenario, Any, tuple[str, ...]]:
+    """Gains, scenario and motion with settings (name -> number or nested list, SI) applied.
+
+    A single number fills the leaf; a list of one number per axis is spread over the rest of it.
+    Returns also the full paths that were set. Raises ValueError naming a setting that is
+    unknown, ambiguous or of the wrong size.
+    """
+    paths = []
+    for name, value in settings.items():
+        known = known_leaves(gains, scenario, motion)
+        path = resolve(name, known, other_names)
+        filled = _fill(path, value, known[path][1])
+        root, *rest = path.split(".")
+        if root == MOTION:
+            motion = with_leaf(motion, rest, filled)
+        else:
+            gains, scenario = replaced(gains, scenario, path, filled)
+        paths.append(path)
+    return gains, scenario, motion, tuple(paths)
+
+
+def replaced(gains: Any, scenario: Scenario, path: str, value: Any) -> tuple[Any, Scenario]:
+    """Gains and scenario with the leaf at a full path replaced."""
+    root, _, rest = path.partition(".")
+    if root == "gains":
+        return with_leaf(gains, rest.split("."), value), scenario
+    part = with_leaf(getattr(scenario, root), rest.split("."), value)
+    return gains, replace(scenario, **{root: part})
+
+
+def _fill(path: str, value: Any, old: Any) -> Any:
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{path} = {value}: must be a number, or one number per axis") from None
+    shape = np.shape(old)
+    if array.ndim == 1 and len(shape) > 1 and array.shape[0] == shape[0]:
+        array = array.reshape(-1, *[1] * (len(shape) - 1))
+    if array.shape == (1,) or array.ndim == 0:
+        array = array.reshape(())
+    elif array.ndim != len(shape):
+        raise ValueError(f"{path} takes {_sizes(shape)}, got {array.size} numbers")
+    try:
+        return jnp.asarray(np.broadcast_to(array, shape), dtype=jnp.result_type(old))
+    except ValueError:
+        raise ValueError(f"{path} takes {_sizes(shape)}, got {array.size} numbers") from None
+
+
+def _sizes(shape: tuple[int, ...]) -> str:
+    if not shape:
+        return "one number"
+    return f"one number or {shape[0]}" + (f", or an array {shape}" if len(shape) > 1 else "")
+
+
+def with_leaf(tree: Any, names: list[str], value: Any) -> Any:
+    """The tree with the leaf below the named fields replaced."""
+    if not names:
+        return value
+    head, *rest = names
+    if is_pytree_data(tree):
+        return replace(tree, **{head: with_leaf(getattr(tree, head), rest, value)})
+    index = int(head)
+    items = list(tree)
+    items[index] = with_leaf(items[index], rest, value)
+    return type(tree)(items)
+
+
+def read_toml(file: Path) -> dict[str, Any]:
+    """Settings of a TOML file as dotted name -> value.
+
+    Raises ValueError, one line with file and line number, when it cannot be read.
+    """
+    text = ""
+    try:
+        text = file.read_text(encoding="utf-8")
+        return _flat(tomllib.loads(text), "")
+    except FileNotFoundError:
+        raise ValueError(f"{file}: no such file") from None
+    except OSError as error:
+        raise ValueError(f"{file}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        end = f"at the end, line {len(text.splitlines())}"
+        message = str(error).replace("at end of document", end)
+        raise ValueError(f"{file}: {message}") from None
+
+
+def _flat(table: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        path = f"{prefix}.{name}" if prefix else name
+        flat |= _flat(value, path) if isinstance(value, Mapping) else {path: value}
+    return flat
+
+
+def line_of(file: Path, name: str) -> int:
+    """The first line of a TOML file whose key ends with the last part of a dotted name."""
+    field = name.rpartition(".")[2]
+    for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), start=1):
+        if line.split("=")[0].strip().rpartition(".")[2].strip("\"' ") == field:
+            return number
+    return 1
+
+
+def nested(tree: Any) -> Any:
+    """Gains or parameters as nested tables of plain numbers and lists, ready for TOML."""
+    table: dict[str, Any] = {}
+    for path, _, value in leaves(tree):
+        *tables, field = path.split(".")
+        inner = table
+        for name in tables:
+            inner = inner.setdefault(name, {})
+        inner[field] = np.asarray(value, dtype=float).tolist()
+    return table
+
+
+def to_toml(sections: Mapping[str, Any], values: Mapping[str, Any] | None = None) -> str:
+    """TOML text of plain values and named pytrees; `read_toml` and `apply` take it back."""
+    tables = {name: nested(tree) for name, tree in sections.items()}
+    return plain_toml({**(values or {}), **{k: v for k, v in tables.items() if v}})
+
+
+#: numbers of an array, one a line, as the writer of TOML leaves them: no string holds a line break
+_ROW = re.compile(
+    r"^(?P<indent> *)(?P<key>.*)\[\n(?P<numbers>(?: *[-+.\w]+,\n)+) *\]", re.MULTILINE
+)
+WIDTH = 100
+
+
+def plain_toml(table: Mapping[str, Any]) -> str:
+    """TOML text of plain data, with the rows of an array on lines."""
+    return _ROW.sub(_on_a_line, tomli_w.dumps(table))
+
+
+def _on_a_line(found: re.Match[str]) -> str:
+    indent, numbers = found["indent"], " ".join(found["numbers"].split()).removesuffix(",")
+    line = f"{indent}{found['key']}[{numbers}]"
+    if len(line) < WIDTH:
+        return line
+    rows = textwrap.fill(
+        numbers + ",", WIDTH - 1, initial_indent=f"{indent}    ",
+        subsequent_indent=f"{indent}    ", break_on_hyphens=False,
+    )  # fmt: skip
+    return f"{indent}{found['key']}[\n{rows}\n{indent}]"

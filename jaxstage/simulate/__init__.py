@@ -1,0 +1,1 @@
+"""One control period, rollouts, batches, gradients and stability of a loop."""

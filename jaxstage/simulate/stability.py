@@ -1,0 +1,99 @@
+"""Is a sampled loop stable? Eigenvalues of one control period, and the largest stable gain.
+
+    z_{k+1} = Phi z_k,   stable while max |eig Phi| < 1
+
+z: all that a tick hands to the next, of plant, drive, sensor and controller: delays, differenced
+velocities and adapted gains included. Phi is the derivative of the whole tick by z, so nothing is
+approximated but the nonlinearity: for a loop that is linear in z it is exact, else it holds for
+small deviations from the run it was taken on. The slope of a sign, or beyond a clip, is 0: give a
+switch its smooth form here. A gain that adapts has an eigenvalue of 1, or close to it.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.flatten_util import ravel_pytree
+from numpy.typing import ArrayLike
+
+from jaxstage.model.blocks import Loop
+from jaxstage.model.fields import replace
+from jaxstage.model.signals import Carry, Scenario
+from jaxstage.model.validate import check
+from jaxstage.simulate.rollout import scan_ticks, start
+from jaxstage.simulate.tick import tick
+
+#: values tried at once in each round of a search
+POINTS = 65
+
+
+def transition(loop: Loop, gains: Any, scenario: Scenario, path: Any, after: int = 2) -> Array:
+    """Phi (n, n) of the tick that follows the first ``after`` ticks of a run.
+
+    A sensor that differences and a drive that delays have no past in the first tick: ``after``
+    should be 1 at least, and more than the dead time in periods.
+    """
+    gains, scenario, path = check(loop, gains, scenario, path)
+
+    def advance(carry: Carry) -> tuple[Carry, None]:
+        return tick(loop, gains, scenario, path, carry)[0], None
+
+    first = start(loop, gains, scenario, path)
+    carry, _ = scan_ticks(replace(loop, segment=0), after, advance, first)
+    moving, still = _split(carry)
+    vector, shaped = ravel_pytree(moving)
+
+    def period(z: Array) -> Array:
+        return ravel_pytree(_split(advance(_joined(carry, shaped(z), still))[0])[0])[0]
+
+    return jax.jacfwd(period)(vector)
+
+
+def _split(carry: Carry) -> tuple[list[Array | None], list[Array | None]]:
+    """What one tick hands to the next: the real numbers, and the rest."""
+    leaves = jax.tree.leaves((carry.state, carry.drive, carry.sensor, carry.memory))
+    real = [jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in leaves]
+    moving = [leaf if r else None for leaf, r in zip(leaves, real, strict=True)]
+    return moving, [None if r else leaf for leaf, r in zip(leaves, real, strict=True)]
+
+
+def _joined(carry: Carry, moving: list[Array | None], still: list[Array | None]) -> Carry:
+    structure = jax.tree.structure((carry.state, carry.drive, carry.sensor, carry.memory))
+    leaves = [b if a is None else a for a, b in zip(moving, still, strict=True)]
+    state, drive, sensor, memory = jax.tree.unflatten(structure, leaves)
+    return replace(carry, state=state, drive=drive, sensor=sensor, memory=memory)
+
+
+def spectral_radius(matrix: ArrayLike) -> np.ndarray:
+    """max |eig| of matrices (..., n, n), on the host; inf where one is not finite."""
+    matrix = np.asarray(matrix, float)
+    finite = np.asarray(np.isfinite(matrix).all(axis=(-2, -1)))
+    safe = np.where(finite[..., None, None], matrix, 0.0)
+    return np.where(finite, np.abs(np.linalg.eigvals(safe)).max(axis=-1), np.inf)
+
+
+def stability_limit(
+    radius: Callable[[np.ndarray], np.ndarray], low: float, high: float, tolerance: float = 1e-9
+) -> float:
+    """The value in [low, high] at which a loop, stable from ``low`` on, stops being stable.
+
+    radius: spectral radii (values,) of values (values,), usually of one gain; `POINTS` at once, and
+    again between the two that enclose the limit, down to ``tolerance`` of ``high``. An interval of
+    instability below (high - low) / 64 can be missed. Returns inf when the loop is stable up to
+    ``high``; raises ValueError when it is not stable at ``low``.
+    """
+    stop = high
+    while stop - low > tolerance * abs(high):
+        values = np.linspace(low, stop, POINTS)
+        stable = np.asarray(radius(values)) < 1
+        if not stable[0]:
+            raise ValueError(f"the loop is not stable at {low:g}")
+        if stable.all():
+            return math.inf
+        first = int(np.argmin(stable))
+        low, stop = float(values[first - 1]), float(values[first])
+    return low

@@ -1,0 +1,126 @@
+"""The commands of the demo, one after the other; those that have ended are not run again.
+
+DIR/demo.toml             what is run
+DIR/stages.json           what has ended, and how long it took
+DIR/output.txt            what the commands printed
+DIR/run/LOOP              simulated at the published gains
+DIR/tune/LOOP             tuned
+DIR/published, DIR/tuned  both laws on the same plants, under the published and the tuned gains
+"""
+
+import json
+import shlex
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import tomli_w
+
+from jaxstage import __version__
+from jaxstage.system.files import write_text
+from tuning.store import work_folder as folders
+from tuning.tuner.report import ACCEPTED, REFUSED
+
+KIND = folders.Kind("demo.toml", "demo", ("jaxstage", "loops", "plants"))
+#: the published law, and the industrial cascade on the same machine
+LOOPS = ("dfcmac-circle", "cascade-circle")
+#: units that the tuning of each law may spend
+BUDGET = 1000
+#: plants of each sweep, and the seed that they are drawn by: that of the tunings is 0
+PLANTS, SEED = 256, 77
+#: runs of one file of a sweep: the step of its progress
+CHUNK = 128
+#: what the laws are judged by
+METRIC = "contour_rms_um"
+#: added to every command that simulates; tests make the runs shorter by it
+WORDS: tuple[str, ...] = ()
+
+
+class Stage(NamedTuple):
+    """One command. out: its folder in that of the demo. words: without ``--out`` and ``--resume``.
+    resumes: whether the command takes up what its folder holds."""
+
+    name: str
+    out: str
+    words: tuple[str, ...]
+    resumes: bool
+
+
+class Took(NamedTuple):
+    """What a stage was, and what it took. command: as a user would type it."""
+
+    command: str
+    seconds: float
+    processor_seconds: float
+
+
+def count() -> int:
+    """How many stages there are."""
+    return 2 * len(LOOPS) + 2
+
+
+def stages(folder: Path) -> Iterator[Stage]:
+    """All of them in order. The last one is made when it is asked for: it needs the gains that the
+    tunings have left by then."""
+    for loop in LOOPS:
+        yield Stage(f"run {loop}", f"run/{loop}", ("run", loop, *WORDS), False)
+    for loop in LOOPS:
+        words = ("tune", loop, "--budget", str(BUDGET), *WORDS)
+        yield Stage(f"tune {loop}", f"tune/{loop}", words, True)
+    numbers = ("-n", str(PLANTS), "--seed", str(SEED), "--chunk", str(CHUNK))
+    sweep = ("sweep", *LOOPS, *numbers, "--metric", METRIC, *WORDS)
+    yield Stage("published", "published", sweep, True)
+    files = [("--gains", f"{loop}={gains_file(folder, loop)}") for loop in LOOPS]
+    yield Stage("tuned", "tuned", (*sweep, *(word for pair in files for word in pair)), True)
+
+
+def gains_file(folder: Path, loop: str) -> Path:
+    """The gains that the tuning of a loop ended with, accepted or not."""
+    accepted = folder / "tune" / loop / ACCEPTED
+    return accepted if accepted.is_file() else accepted.with_name(REFUSED)
+
+
+def configuration() -> str:
+    """What a demo depends on, as text."""
+    return tomli_w.dumps({
+        "jaxstage": __version__, "jax": jax.__version__, "loops": list(LOOPS), "budget": BUDGET,
+        "plants": PLANTS, "seed": SEED, "metric": METRIC, "words": list(WORDS),
+    })  # fmt: skip
+
+
+def ended(folder: Path) -> dict[str, Took]:
+    """The stages that have ended, by name."""
+    file = folder / "stages.json"
+    if not file.is_file():
+        return {}
+    return {k: Took(**v) for k, v in json.loads(file.read_text(encoding="utf-8")).items()}
+
+
+def command_of(stage: Stage, folder: Path) -> list[str]:
+    """The words of a stage's command."""
+    out = folder / stage.out
+    resume = ("--resume",) if stage.resumes and out.exists() else ()
+    return [*stage.words, "--out", str(out), *resume]
+
+
+def run_stage(stage: Stage, folder: Path, call: Callable[[Sequence[str]], object]) -> Took:
+    """Run the command of a stage, keep what it prints and that it has ended.
+
+    call: runs a command by its words, as ``jaxstage`` does; what it raises passes through.
+    """
+    words = command_of(stage, folder)
+    shown = shlex.join(["jaxstage", *words])
+    begun, spent = time.perf_counter(), time.process_time()
+    with (folder / "output.txt").open("a", encoding="utf-8") as file, redirect_stdout(file):
+        print(f"$ {shown}")
+        call(words)
+        print()
+    shown = shown.removesuffix(" --resume")
+    took = Took(shown, time.perf_counter() - begun, time.process_time() - spent)
+    every = ended(folder) | {stage.name: took}
+    text = json.dumps({name: one._asdict() for name, one in every.items()}, indent=2)
+    write_text(folder / "stages.json", text + "\n")
+    return took

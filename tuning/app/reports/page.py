@@ -1,0 +1,91 @@
+"""What a report says, whatever it is about, and how it becomes one HTML file."""
+
+import base64
+import json
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jinja2
+
+from jaxstage import __version__
+
+
+class Table(NamedTuple):
+    """A table. note: one sentence on how to read it; numeric: columns that are aligned right."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+    numeric: tuple[int, ...] = ()
+
+
+class Picture(NamedTuple):
+    """A PNG file, and one sentence on how to read it."""
+
+    file: Path
+    text: str
+
+    def data(self) -> str:
+        """The picture as text that a page can hold."""
+        return base64.b64encode(self.file.read_bytes()).decode()
+
+
+class Page(NamedTuple):
+    """A report. good: whether the verdict is a good one, None where it is neither. verdict: its
+    lines. facts: name -> value, of what stands next to it. tables: above the pictures; details:
+    below them. files: name -> text to take away. settings: name -> value of all that it was
+    computed with."""
+
+    title: str
+    subtitle: str
+    good: bool | None
+    verdict: tuple[str, ...]
+    facts: Mapping[str, str]
+    tables: tuple[Table, ...]
+    pictures: tuple[Picture, ...]
+    files: Mapping[str, str]
+    settings: Mapping[str, str]
+    details: tuple[Table, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def html(page: Page) -> str:
+    """The page as one HTML document: nothing in it refers to anything outside."""
+    template = resources.files("tuning.app.reports").joinpath("report.html").read_text("utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(template).render(page=page, version=__version__)
+
+
+def answers(folder: Path, name: str, noun: str, goes_on: str) -> dict[str, Any]:
+    """The JSON file that long work ends with. Raises ValueError for work that was stopped.
+
+    goes_on: the command that finishes it.
+    """
+    if not (folder / name).is_file():
+        raise ValueError(f"{folder} holds a {noun} without answers: {goes_on} finishes it")
+    return json.loads((folder / name).read_text(encoding="utf-8"))
+
+
+def pictures(folder: Path, texts: Mapping[str, str]) -> tuple[Picture, ...]:
+    """The pictures of a folder that are known by name, in the order of their texts."""
+    files = ((folder / f"{name}.png", text) for name, text in texts.items())
+    return tuple(Picture(file, text) for file, text in files if file.is_file())
+
+
+def number(value: float | None) -> str:
+    """A number as text, a dash where there is none."""
+    if value is None:
+        return "–"
+    return f"{value:.4g}"
+
+
+def interval(stated: Mapping[str, Any] | None) -> str:
+    """An estimate with its interval, a dash where there is none."""
+    if not stated:
+        return "–"
+    return f"{number(stated['value'])} ({number(stated['low'])} to {number(stated['high'])})"

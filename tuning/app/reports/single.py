@@ -1,0 +1,87 @@
+"""The report of one run: the folder that ``jaxstage run --out`` leaves."""
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxstage.metrics.table import split_key
+from tuning.app.reports.page import Page, Table, number, pictures
+
+#: picture -> how to read it
+TEXTS = {
+    "contour": "The commanded curve, and the tool's path with its contour error magnified: where "
+    "the line stands off, the tool left the curve; spikes are axes that reverse.",
+    "space": "The path in space, with the contour error magnified.",
+    "axes": "Commanded and actual position of each axis; below each, its following error, which "
+    "jumps where static friction holds the axis.",
+    "error": "Contour error over time and along the curve: what repeats from lap to lap belongs to "
+    "the curve, what fades to the start.",
+    "command": "What the drive was asked for, from afar, around a reversal, and tick by tick: a "
+    "comb in the last panel is chattering.",
+    "surface": "The sliding variable, and error against its rate: on the dashed line the error "
+    "decays with the slope of the surface.",
+    "weights": "The weights that the law learned while it ran: lines that settle have learned "
+    "what repeats.",
+    "schedule": "The gains that the cross-coupled law used: what moves here is the scheduling.",
+}
+
+
+def read(folder: Path) -> Page:
+    """The page of a folder with ``run.json``."""
+    result = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    texts = {
+        name: (folder / name).read_text(encoding="utf-8")
+        for name in ("gains.toml", "scenario.toml", "rules.txt")
+        if (folder / name).is_file()
+    }
+    scored = f"lap {result['scored']}" if result["scored"] else "the scored part of the run"
+    return Page(
+        title=result["loop"],
+        subtitle="One run: the machine, the law and the path that the settings below name.",
+        good=result["finite"],
+        verdict=(result["verdict"],),
+        facts={
+            "length": f"{result['duration_s']:g} s, {result['laps']:.4g} laps of "
+            f"{result['lap_time_s']:.4g} s",
+            "figures of": scored,
+        },
+        notes=tuple(result["notes"]),
+        tables=(),
+        details=(_figures(result),) if result["finite"] else (),
+        pictures=pictures(folder, TEXTS),
+        files=texts,
+        settings=_settings(result, texts),
+    )
+
+
+def _settings(result: Mapping[str, Any], texts: Mapping[str, str]) -> dict[str, str]:
+    scenario = tomllib.loads(texts.get("scenario.toml", ""))
+    return {
+        "loop": result["loop"],
+        "control period": f"{result['dt_s'] * 1e6:g} µs",
+        "precision": result["precision"],
+        "seed": str(scenario.get("seed", "–")),
+        "versions": f"jaxstage {result['version']}, jax {result['jax']}",
+    }
+
+
+def _figures(result: Mapping[str, Any]) -> Table:
+    return Table(
+        title="Figures",
+        head=("figure", "scored part", "whole run", "unit"),
+        rows=tuple(_rows(result["metrics"], result["metrics_whole_run"])),
+        note="The whole run includes the start transient. A dash: no such figure.",
+        numeric=(1, 2),
+    )
+
+
+def _rows(scored: Mapping[str, Any], whole: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    for key, value in scored.items():
+        name, unit = split_key(key)
+        if not isinstance(value, Mapping):
+            yield name, number(value), number(whole[key]), unit
+            continue
+        for axis, one in value.items():
+            yield f"{name} {axis}", number(one), number(whole[key][axis]), unit

@@ -1,0 +1,1 @@
+"""Folders and result files that commands leave and take back."""

@@ -1,0 +1,276 @@
+"""One run from the words of a user to its result."""
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxstage.controllers.fuzzy_rules import readable
+from jaxstage.metrics import record, together
+from jaxstage.model import settings
+from jaxstage.model.fields import in_units_of, replace
+from jaxstage.model.signals import Run
+from jaxstage.model.validate import SHARED, check, check_leaves
+from jaxstage.simulate.rollout import advance, start
+from jaxstage.studies import Case, Timing, all_studies, find, with_metric
+from jaxstage.studies.precision import LARGEST, stored_precision, worst
+from jaxstage.studies.study import NamedLoop
+from jaxstage.system.files import write_text
+from tuning.store.gains_file import NOTES, refuse_other_law
+from tuning.store.run_result import summary, write_settings
+from tuning.uncertainty.scenario_file import NOT_VALUES, with_file_blocks
+
+#: settings that belong to the timing, with their units; those without one are whole numbers
+TIMING = {
+    "lap_time": "s", "laps": "", "scored": "", "dt": "s", "substeps": "", "feed": "mm/min",
+    "skip": "s",
+}  # fmt: skip
+
+
+class Prepared(NamedTuple):
+    """A case with all settings applied, the loop it comes from, and what the user should know."""
+
+    case: Case
+    entry: NamedLoop
+    notes: tuple[str, ...]
+
+
+def refuse_rough(name: str) -> None:
+    """Raise ValueError for a loop whose figures are off by over 1 % in single precision."""
+    find(name)
+    for study in all_studies:
+        table = stored_precision(study.name)
+        if name in table:
+            figure, difference = worst(table[name])
+            if difference > LARGEST:
+                raise ValueError(
+                    f"--precision single: {figure} of {name} is off by {difference:.1%} "
+                    f"(limit {LARGEST:.0%}, `jaxstage precision` measures it); --force runs it"
+                )
+
+
+def prepare(
+    loop: str,
+    words: list[str],
+    gains_file: Path | None = None,
+    scenario_file: Path | None = None,
+    duration: float | None = None,
+    retimed: Callable[[Timing], Timing] = lambda timing: timing,
+) -> Prepared:
+    """Build a loop and apply files first, then ``NAME=VALUE`` words.
+
+    retimed: changes the timing that the words ask for. Raises ValueError in one line for anything
+    unknown, ambiguous or out of range.
+    """
+    entry = find(loop)
+    given = dict(_word(word) for word in words)
+    timing = _timing(entry.timing, {k: v for k, v in given.items() if k in TIMING}, duration)
+    published = case = entry.build(retimed(timing))
+    if scenario_file is not None:
+        published = case = with_file_blocks(case, scenario_file)
+    if gains_file is not None:
+        refuse_other_law(gains_file, case)
+    changed: tuple[str, ...] = ()
+    for file, roots, others in (
+        (gains_file, ("gains",), NOTES),
+        (scenario_file, settings.SCENARIO_PARTS, NOT_VALUES),
+    ):
+        if file is not None:
+            case, paths = _from_file(case, file, roots, others)
+            changed += paths
+    words_of_values = {k: v for k, v in given.items() if k not in TIMING}
+    values = {k: _numbers(k, v, _unit(case, k)) for k, v in words_of_values.items()}
+    case, paths = _applied(case, values, tuple(TIMING))
+    changed += paths
+    check(case.loop, case.gains, case.scenario, case.path)
+    _check_motion(case, paths)
+    return Prepared(case, entry, _notes(published, case, changed))
+
+
+def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
+    """Simulate; with ``out``, write pictures and settings there. Returns the JSON object."""
+    case = prepared.case
+    metrics = (case.loop.metric, replace(case.metric, name="whole"), *((record,) if out else ()))
+    stored = (recorded.metric for recorded in prepared.entry.recorded)
+    measured = with_metric(case, together(*metrics, *stored))
+    _refuse_long(measured)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)  # before the work: where it cannot be made
+    run = _with_recorded(prepared, measured.simulate())
+    result = summary(case, run, prepared.notes)
+    result["notes"] += prepared.entry.notes(case, result["metrics"])
+    if out is not None:
+        from jaxstage.plot import pictures
+
+        pictures(case, run.report["scored"], run.rows["record"], result, out)
+        write_settings(out, case, result)
+        rules = readable(case.gains, run.final.memory)
+        if rules is not None:
+            write_text(out / "rules.txt", rules)
+    return result
+
+
+def _refuse_long(case: Case) -> None:
+    """Refuse a run whose record does not fit into this machine."""
+    begin = jax.eval_shape(lambda: start(case.loop, case.gains, case.scenario, case.path))
+    step = lambda c: advance(case.loop, case.gains, case.scenario, case.path, c)  # noqa: E731
+    row = jax.tree.leaves(jax.eval_shape(step, begin)[1])
+    size = case.window.ticks * sum(leaf.size * leaf.dtype.itemsize for leaf in row)
+    if hasattr(os, "sysconf"):
+        there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        if size > there / 2:  # pictures hold it a second time
+            raise ValueError(
+                f"a record of {case.window.ticks} control periods takes {size / 1e9:.3g} GB, half "
+                f"the memory here is {there / 2e9:.3g} GB: simulate less, or without --out"
+            )
+
+
+def _with_recorded(prepared: Prepared, run: Run) -> Run:
+    """The run with the figures of its record among those of the scored part and of the whole."""
+    if not prepared.entry.recorded:
+        return run
+    window, dt, report = prepared.case.window, prepared.case.loop.dt, dict(run.report)
+    for part, ticks in (("scored", slice(window.start, window.stop)), ("whole", slice(None))):
+        figures = {
+            recorded.metric.name: recorded.figures(
+                jax.tree.map(lambda row, t=ticks: row[t], run.rows[recorded.metric.name]), dt
+            )
+            for recorded in prepared.entry.recorded
+        }
+        report[part] = report[part] | figures
+    return replace(run, report=report)
+
+
+def check_folder(out: Path) -> None:
+    """Refuse an output folder that cannot be written, before any work is done."""
+    existing = out
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise ValueError(f"--out {out}: {existing} is not a folder")
+    if not os.access(existing, os.W_OK):
+        raise ValueError(f"--out {out}: no permission to write in {existing}")
+
+
+def _word(word: str) -> tuple[str, str]:
+    name, equals, value = word.partition("=")
+    if not equals or not name.strip() or not value.strip():
+        raise ValueError(f"--set {word}: must be NAME=VALUE, e.g. gains.c1=2")
+    return name.strip(), value.strip()
+
+
+def _numbers(name: str, text: str, unit: str) -> list[float]:
+    try:
+        return [float(item) for item in text.split(",")]
+    except ValueError:
+        told = f"; units are not written, this one is {unit}" if unit not in ("", "1") else ""
+        raise ValueError(
+            f"--set {name}={text}: must be a number, or one number per axis split by commas{told}"
+        ) from None
+
+
+def _unit(case: Case, name: str) -> str:
+    """The unit of a setting. Raises ValueError for an unknown one."""
+    known = settings.known_leaves(case.gains, case.scenario, case.path)
+    quantity = known[settings.resolve(name, known, tuple(TIMING))][0]
+    return in_units_of(quantity, case.loop.plant.command_unit).unit
+
+
+def _timing(own: Timing, words: Mapping[str, str], duration: float | None) -> Timing:
+    """The loop's own timing with changes; naming the scored lap drops its ``skip``, naming the
+    laps its ``duration``."""
+    values: dict[str, Any] = {} if duration is None else {"duration": duration}
+    values |= {"skip": None} if "scored" in words else {}
+    values |= {"duration": None} if "laps" in words and duration is None else {}
+    for one, other in (("lap_time", "feed"), ("scored", "skip")):
+        if one in words and other in words:
+            raise ValueError(f"--set {one} and --set {other}: give one of them")
+    values |= {"feed": None} if "lap_time" in words else {}
+    for name, text in words.items():
+        number, *more = _numbers(name, text, TIMING[name])
+        if more:
+            raise ValueError(f"--set {name}={text}: must be one number")
+        if not TIMING[name]:
+            if not math.isfinite(number) or number != int(number):
+                raise ValueError(f"--set {name}={text}: must be a whole number")
+            number = int(number)
+        values[name] = number
+    return replace(own, **values)
+
+
+def _from_file(
+    case: Case, file: Path, roots: tuple[str, ...], others: tuple[str, ...]
+) -> tuple[Case, tuple[str, ...]]:
+    """The case with the values of a file. roots: its tables of values; others: not looked at."""
+    content = settings.read_toml(file)
+    values = {name: v for name, v in content.items() if name.partition(".")[0] not in others}
+    if "seed" in values and "plant" in roots:
+        key = _key(file, values.pop("seed"))
+        case = case._replace(scenario=replace(case.scenario, key=key))
+    changed: tuple[str, ...] = ()
+    for name, value in values.items():
+        try:
+            if name.partition(".")[0] not in roots:
+                raise ValueError(f"'{name}' is not in [{'], ['.join(roots)}]")
+            case, paths = _applied(case, {name: value})
+            check(case.loop, case.gains, case.scenario, case.path)
+        except ValueError as error:
+            raise ValueError(f"{file}:{settings.line_of(file, name)}: {error}") from None
+        changed += paths
+    return case, changed
+
+
+def _key(file: Path, seed: Any) -> jax.Array:
+    if type(seed) is not int or not 0 <= seed < 2**32:
+        line = settings.line_of(file, "seed")
+        raise ValueError(f"{file}:{line}: seed = {seed}: must be a whole number 0..{2**32 - 1}")
+    return jax.random.key(seed)
+
+
+def _applied(
+    case: Case, values: Mapping[str, Any], other_names: tuple[str, ...] = ()
+) -> tuple[Case, tuple[str, ...]]:
+    gains, scenario, path, changed = settings.apply(
+        case.gains, case.scenario, values, other_names, case.path
+    )
+    return case._replace(gains=gains, scenario=scenario, path=path), changed
+
+
+def _check_motion(case: Case, changed: tuple[str, ...]) -> None:
+    """Refuse sizes of the motion that are out of range, or that a feed does not know of."""
+    sizes = [path for path in changed if path.startswith(f"{settings.MOTION}.")]
+    if sizes:
+        shared = jax.tree.map(lambda _: SHARED, case.path)
+        check_leaves(case.loop.plant, case.path, settings.MOTION, shared)
+        if case.timing.feed is not None:
+            raise ValueError(
+                f"--set feed and --set {sizes[0]}: the feed gives the lap time for the size of the "
+                "study; give lap_time"
+            )
+
+
+def _notes(published: Case, case: Case, paths: tuple[str, ...]) -> tuple[str, ...]:
+    """Say which assumptions of the controller a changed plant value did not move."""
+    before, known = (
+        settings.known_leaves(one.gains, one.scenario, one.path) for one in (published, case)
+    )
+    changed = [p for p in dict.fromkeys(paths) if not np.array_equal(before[p][1], known[p][1])]
+    notes = []
+    for path in changed:
+        root, _, field = path.partition(".")
+        assumed = next((p for p in known if p.endswith(f"nominal.{field}")), None)
+        if root != "plant" or assumed in paths:
+            continue
+        if assumed:
+            value = ", ".join(f"{v:g}" for v in known[assumed][1])
+            notes.append(
+                f"{path} changed; the controller still assumes nominal.{field} = {value} "
+                f"(set nominal.{field}=... to change that)"
+            )
+        else:
+            notes.append(f"{path} changed; what the controller assumes has not changed")
+    return tuple(notes)

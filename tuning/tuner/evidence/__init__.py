@@ -1,0 +1,1 @@
+"""What a tuning result rests on: validation, diagnostics, worst cases."""

@@ -1,0 +1,120 @@
+"""What a result rests on: gradients, borders, parameters without effect or doing the same, starts,
+and whether the sampled loop is stable."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxstage.simulate.stability import spectral_radius, transition
+from jaxstage.studies import Case
+from tuning.tuner.problem.problem import Problem, curvatures
+from tuning.tuner.problem.search_space import parameters
+from tuning.tuner.search.optimise import Tuned
+
+#: a parameter whose move by one unit (about a factor e) changes the objective by less than this
+#: share has no effect
+EFFECT = 1e-3
+#: combinations of parameters whose curvature, with every single one scaled to 1, is below this
+REDUNDANT = 1e-3
+#: share of a combination that a parameter must have to be named
+MEMBER = 0.3
+#: more parameters than these get no Gauss-Newton matrix: it costs a unit or more for each
+MOST_CURVED = 40
+#: starts agree when the best of the others ends within this share of the best objective
+AGREE = 0.05
+
+
+class Effects(NamedTuple):
+    """insensitive: labels of parameters without effect. redundant: groups of labels that do the
+    same: moved together in the right ratio, they change nothing. eigenvalues: of the Gauss-Newton
+    matrix, ascending."""
+
+    insensitive: tuple[str, ...]
+    redundant: tuple[tuple[str, ...], ...]
+    eigenvalues: np.ndarray
+
+
+class Diagnostics(NamedTuple):
+    """What is said of a result beside its figures. None where it could not be had; ``notes`` says
+    why. radius: spectral radius of one control period of the nominal loop, before and after."""
+
+    gradient_error: dict[str, float] | None
+    gradient_ok: bool | None
+    non_finite: int
+    at_bounds: tuple[str, ...]
+    effects: Effects | None
+    starts: tuple[float, ...]
+    starts_agree: bool | None
+    radius: tuple[float, float] | None
+    notes: tuple[str, ...]
+
+
+def effects(
+    gauss_newton: np.ndarray, gradient: np.ndarray, objective: float, labels: Sequence[str]
+) -> Effects:
+    """Which parameters have no effect, and which do the same.
+
+    gauss_newton (n, n), gradient (n,), objective: at the result, per unit of the search vector.
+    """
+    own = np.abs(gradient) + 0.5 * np.diag(gauss_newton)
+    acting = own > EFFECT * objective
+    idle = tuple(label for label, acts in zip(labels, acting, strict=True) if not acts)
+    every = np.linalg.eigvalsh(gauss_newton)
+    kept = np.flatnonzero(acting & (np.diag(gauss_newton) > 0))
+    root = np.sqrt(np.diag(gauss_newton)[kept])
+    scaled = gauss_newton[np.ix_(kept, kept)] / np.outer(root, root)
+    values, vectors = np.linalg.eigh(scaled) if len(kept) else (np.empty(0), np.empty((0, 0)))
+    groups = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        members = tuple(labels[kept[i]] for i in np.flatnonzero(np.abs(vector) > MEMBER))
+        if value < REDUNDANT and len(members) > 1:
+            groups.append(members)
+    return Effects(idle, tuple(groups), every)
+
+
+def diagnose(problem: Problem, tuned: Tuned, z: np.ndarray, case: Case) -> Diagnostics:
+    """Diagnostics of a result. z: the gains chosen. case: the nominal loop."""
+    notes = [tuned.note] if tuned.note else []
+    check = tuned.check
+    if check is None:
+        notes.append("the gradient was not checked: the method does not use it")
+    found = None
+    if tuned.n > MOST_CURVED:
+        notes.append(f"no Gauss-Newton matrix of {tuned.n} parameters: it would cost too much")
+    else:
+        every = np.repeat(z[None], len(tuned.starts), axis=0)  # as in training: compiled already
+        curved = curvatures(problem, every)
+        numbers = (curved.gauss_newton[0], curved.gradient[0], float(curved.objective[0]))
+        if all(np.isfinite(np.asarray(x)).all() for x in numbers):
+            found = effects(*numbers, problem.space.labels)
+        else:
+            notes.append("the Gauss-Newton matrix is not finite here")
+    errors = dict(zip(check.runs, map(float, check.error), strict=True)) if check else None
+    ends = tuple(sorted(start.objective for start in tuned.starts))
+    return Diagnostics(
+        gradient_error=errors,
+        gradient_ok=check.ok if check else None,
+        non_finite=check.non_finite if check else 0,
+        at_bounds=tuple(p.label for p in parameters(problem.space, z) if p.at_bound),
+        effects=found,
+        starts=ends,
+        starts_agree=ends[1] <= ends[0] * (1 + AGREE) if len(ends) > 1 else None,
+        radius=_radii(case, problem.space.gains, problem.space.gains_of(jnp.asarray(z))),
+        notes=tuple(notes),
+    )
+
+
+def _radii(case: Case, before: Any, after: Any) -> tuple[float, float] | None:
+    """Spectral radii of one control period of the nominal loop, after a few; None where not
+    finite."""
+    past = 2 + case.loop.drive.max_delay
+
+    @jax.jit
+    def matrix(gains: Any) -> jax.Array:
+        return transition(case.loop, gains, case.scenario, case.path, past)
+
+    first, second = (float(spectral_radius(matrix(gains))) for gains in (before, after))
+    return (first, second) if np.isfinite([first, second]).all() else None

@@ -1,0 +1,271 @@
+"""Gains on the exact model: held-out plants, half the step, a longer run, and the verdict.
+
+Nothing of this is seen by a search. Figures are those of `jaxstage run`, over the scored part.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxstage.metrics import selected
+from jaxstage.simulate.batch import rollouts
+from jaxstage.studies import Case, Timing, with_metric
+from jaxstage.studies.case import scored
+from tuning.tuner.problem.scenario_set import Series, series
+from tuning.tuner.problem.training_metrics import available
+from tuning.uncertainty.figure_table import figure_columns, flag_columns
+from tuning.uncertainty.statistics import Interval, Share, bootstrap, share
+from tuning.uncertainty.uncertain_space import batch
+
+#: metrics whose figures are told of runs that only judge
+KEPT = ("tracking", "following", "contour", "effort", "energy")
+#: bytes that the figures of one batch may take
+MEMORY = 2e9
+#: a figure that differs by more between the step and half of it depends on the integration
+STEP_LIMIT = 0.1
+#: a figure that grows by more over a longer run is not at rest
+GROWTH_LIMIT = 2.0
+#: a longer run is so many times as long
+LONGER = 4
+
+
+class Judged(NamedTuple):
+    """A figure of runs under the gains before and after, (runs,) each, NaN where a run was lost.
+
+    columns: every figure, name -> (2, runs).
+    """
+
+    figure: str
+    before: np.ndarray
+    after: np.ndarray
+    columns: dict[str, np.ndarray]
+
+    def lost(self) -> tuple[int, int]:
+        """Runs lost before and after."""
+        return int(np.isnan(self.before).sum()), int(np.isnan(self.after).sum())
+
+
+def figures(every: Sequence[Series], gains: Sequence[Any]) -> dict[str, np.ndarray]:
+    """Columns (gains, runs) of all series under each of some gains, and the flags of the runs.
+
+    A column that not all series have is left out.
+    """
+    tables = [_simulated(one, gains) for one in every]
+    names = [name for name in tables[0] if all(name in table for table in tables)]
+    return {name: np.concatenate([table[name] for table in tables], axis=1) for name in names}
+
+
+def light(case: Case, figure: str) -> Case:
+    """The case with the metrics of `KEPT` and that of a figure, over its scored part."""
+    known = available(case)
+    wanted = {*KEPT, known.get(figure)} - {""}
+    names = dict.fromkeys(name for name in known.values() if name in wanted)
+    return with_metric(case, scored(selected(case.metric, tuple(names)), case.window))
+
+
+def _simulated(one: Series, gains: Sequence[Any]) -> dict[str, np.ndarray]:
+    runs, count = len(one.labels), len(gains)
+    values = {path: np.concatenate([value] * count) for path, value in one.values.items()}
+    drawn = batch(one.case, values, np.concatenate([one.seeds] * count))
+    stacked = jax.tree.map(
+        lambda *leaves: jnp.repeat(jnp.stack([jnp.asarray(x) for x in leaves]), runs, axis=0),
+        *gains,
+    )
+    case = one.case
+    run = rollouts(
+        case.loop, stacked, drawn.scenario, drawn.path, case.window.ticks,
+        in_axes=(0, *drawn.in_axes[1:]), memory=MEMORY,
+    )  # fmt: skip
+    columns = figure_columns(run.report, case.loop.plant) | flag_columns(run, case.loop.dt)
+    return {name: column.reshape(count, runs) for name, column in columns.items()}
+
+
+def column_of(columns: Mapping[str, np.ndarray], figure: str, axes: Sequence[str]) -> np.ndarray:
+    """A figure by its column; one that is given per axis, by its bare name, as RMS over the axes.
+
+    Raises ValueError for an unknown one.
+    """
+    if figure in columns:
+        return columns[figure]
+    found = [columns[name] for axis in axes if (name := _per_axis(columns, figure, axis))]
+    if not found:
+        raise ValueError(f"the runs have no figure {figure}")
+    return np.sqrt(np.mean(np.square(found), axis=0))
+
+
+def _per_axis(columns: Mapping[str, np.ndarray], figure: str, axis: str) -> str:
+    """The column of one axis of a figure: ``following_rms_um`` -> ``following_rms_x_um``."""
+    return next((n for n in columns if n.replace(f"_{axis}", "", 1) == figure and n != figure), "")
+
+
+def has_column(columns: Mapping[str, Any], figure: str, axes: Sequence[str]) -> bool:
+    """Whether `column_of` finds a figure."""
+    return figure in columns or any(_per_axis(columns, figure, axis) for axis in axes)
+
+
+def judge(every: Sequence[Series], before: Any, after: Any, figure: str) -> Judged:
+    """Both gains on the same runs. columns: those of `KEPT`, and the figure."""
+    every = [one._replace(case=light(one.case, figure)) for one in every]
+    columns = figures(every, [before, after])
+    values = column_of(columns, figure, every[0].case.loop.plant.axes)
+    return Judged(figure, values[0], values[1], columns)
+
+
+def half_step(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[Series]:
+    """The runs of a set with half the step of the integration, controllers as often as before."""
+    return _retimed(table, blocks, lambda timing: {"substeps": 2 * timing.substeps})
+
+
+def prolonged(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[Series]:
+    """The runs of a set, `LONGER` times as long."""
+
+    def longer(timing: Timing) -> dict[str, Any]:
+        if timing.duration is not None:
+            return {"duration": LONGER * timing.duration}
+        return {"laps": LONGER * timing.laps}
+
+    return _retimed(table, blocks, longer)
+
+
+def _retimed(
+    table: Mapping[str, Any], blocks: Mapping[str, Any],
+    change: Callable[[Timing], dict[str, Any]],
+) -> list[Series]:  # fmt: skip
+    cases = [
+        {**case, "timing": case["timing"] | change(Timing(**case["timing"]))}
+        for case in table["case"]
+    ]
+    return series({**table, "case": cases}, blocks)
+
+
+class HeldOut(NamedTuple):
+    """What the held-out runs say of a figure: means of the runs that neither gains lost, their
+    relative change, each with its bootstrap interval, and on how many runs the gains after are
+    better (a lost run loses)."""
+
+    figure: str
+    runs: int
+    before: Interval | None
+    after: Interval | None
+    change: Interval | None
+    lost_before: int
+    lost: int
+    better: Share
+    others: dict[str, tuple[float | None, float | None]]
+
+
+def held_out_verdict(judged: Judged) -> HeldOut:
+    """The verdict on held-out runs."""
+    both = np.isfinite(judged.before) & np.isfinite(judged.after)
+    before, after = judged.before[both], judged.after[both]
+    lost_before, lost = judged.lost()
+    ranked = [np.where(np.isnan(x), np.inf, x) for x in (judged.before, judged.after)]
+    enough = len(before) > 1
+    return HeldOut(
+        figure=judged.figure,
+        runs=len(judged.before),
+        before=bootstrap(before, np.mean) if enough else None,
+        after=bootstrap(after, np.mean) if enough else None,
+        change=_change(before, after) if enough else None,
+        lost_before=lost_before,
+        lost=lost,
+        better=share(int(np.sum(ranked[1] < ranked[0])), len(judged.before)),
+        others=_others(judged.columns, both),
+    )
+
+
+def _change(before: np.ndarray, after: np.ndarray) -> Interval:
+    """mean(after) / mean(before) - 1 with its interval, plants drawn again in pairs."""
+    places = np.arange(len(before), dtype=float)
+
+    def statistic(drawn: np.ndarray, axis: int = -1) -> np.ndarray:
+        index = drawn.astype(int)
+        return np.mean(after[index], axis=axis) / np.mean(before[index], axis=axis) - 1
+
+    return bootstrap(places, statistic)
+
+
+def _others(
+    columns: Mapping[str, np.ndarray], both: np.ndarray
+) -> dict[str, tuple[float | None, float | None]]:
+    """Means of every figure before and after, of the runs that neither lost."""
+    told: dict[str, tuple[float | None, float | None]] = {}
+    for name, column in columns.items():
+        means = column[:, both].astype(float).mean(axis=1) if both.any() else np.full(2, np.nan)
+        first, second = (float(m) if np.isfinite(m) else None for m in means)
+        told[name] = (first, second)
+    return {
+        n: m for n, m in told.items() if not n.endswith("_at") and n not in ("finite", "lost_at_s")
+    }
+
+
+class Trial(NamedTuple):
+    """The training runs, as they were or in another form: means of the figure and objective before
+    and after, and the runs that the gains after lose."""
+
+    figure: tuple[float, float]
+    objective: tuple[float, float]
+    lost: int
+
+
+class Trials(NamedTuple):
+    """Both gains on the exact model. exact: on the training runs. half_step: the same. longer: on
+    other plants, `LONGER` times as long. missed: one line for each goal that the gains after do not
+    meet in the training runs."""
+
+    exact: Trial
+    half_step: Trial
+    longer: Trial
+    missed: tuple[str, ...]
+
+
+def refusals(found: Trials, held_out: HeldOut) -> tuple[str, ...]:
+    """Why the gains are not accepted, one line each; none: they are."""
+    return (*trial_refusals(found), *_held_out_refusals(held_out))
+
+
+def trial_refusals(found: Trials) -> tuple[str, ...]:
+    """What the training runs in their three forms say against the gains, one line each."""
+    reasons = [*found.missed]
+    before, after = found.exact.objective
+    if found.exact.lost:
+        reasons.append(f"{found.exact.lost} training runs are lost")
+    elif not after < before:
+        reasons.append(
+            f"the objective on the exact model did not fall: {before:.4g} before, {after:.4g} after"
+        )
+    figure = found.exact.figure[1]
+    far = f"{LONGER} times the time and other plants"
+    for name, one in (("half the step", found.half_step), (far, found.longer)):
+        if one.lost:
+            reasons.append(f"with {name} {one.lost} runs are lost")
+        elif not one.objective[1] < one.objective[0]:
+            reasons.append(
+                f"with {name} the objective did not fall: {one.objective[0]:.4g} before, "
+                f"{one.objective[1]:.4g} after"
+            )
+    half, longer = found.half_step.figure[1], found.longer.figure[1]
+    if abs(half - figure) > STEP_LIMIT * abs(figure):
+        reasons.append(
+            f"with half the step the figure is {half:.4g} instead of {figure:.4g}: it depends on "
+            "the integration"
+        )
+    if longer > GROWTH_LIMIT * abs(figure):
+        reasons.append(f"with {far} the figure grows from {figure:.4g} to {longer:.4g}")
+    return tuple(reasons)
+
+
+def _held_out_refusals(found: HeldOut) -> tuple[str, ...]:
+    if found.lost > found.lost_before:
+        return (f"{found.lost} of {found.runs} held-out runs are lost, {found.lost_before} before",)
+    if found.change is None:
+        return ("too few held-out runs are left to compare",)
+    if found.change.high >= 0:
+        return (
+            f"{found.figure} on held-out plants: change {found.change.value:+.1%} "
+            f"({found.change.low:+.1%}..{found.change.high:+.1%}) is not shown to be a gain",
+        )
+    return ()

@@ -1,0 +1,1 @@
+"""What is tuned and on what: search space, scenario sets, objective."""

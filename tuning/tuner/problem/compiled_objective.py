@@ -1,0 +1,249 @@
+"""The compiled functions of a problem: costs of many gains in all training runs, and derivatives.
+
+All candidates run in all runs of a group in one batch, candidates first: lane = candidate * runs +
+run. The programs take gains, weights and scales as arguments, so nothing is compiled twice.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxstage.model.fields import replace
+from jaxstage.model.settings import with_leaf
+from jaxstage.simulate.batch import rollouts, spread_axes
+from tuning.tuner.problem.objective import LOST, PULL, TIGHT, Goal, Risk, Term
+from tuning.tuner.problem.run_group import Group
+from tuning.tuner.problem.search_space import SearchSpace
+from tuning.tuner.problem.training_metrics import Measured, Recipe, measure
+
+#: lanes that run together at most
+TILE = 128
+#: bytes that one batch may take
+MEMORY = 4e9
+
+
+class Programs(NamedTuple):
+    """Functions of (z, weights, scales, penalty, data), whose results have the fields of
+    `Evaluation`, `Slopes` and `Curvatures`; directional takes directions (d, n) after z."""
+
+    evaluate: Callable[..., Any]
+    slopes: Callable[..., Any]
+    curvatures: Callable[..., Any]
+    directional: Callable[..., Any]
+
+
+def _lanes(space: SearchSpace, group: Group, z: Array, scenario: Any, path: Any) -> Any:
+    """Arguments of `rollouts` for candidates z (m, n) in all runs of a group."""
+    gains, axes = space.gains, jax.tree.map(lambda _: None, space.gains)
+    for e in space.entries:
+        value = jax.vmap(e.value_of)(z[:, e.first : e.first + e.count])
+        names = e.path.split(".")[1:]
+        gains = with_leaf(gains, names, jnp.repeat(value, group.runs, axis=0))
+        axes = with_leaf(axes, names, 0)
+    again = jnp.tile(jnp.arange(group.runs), len(z))
+    trees = (scenario, path)
+    shared = spread_axes(group.batch.in_axes[1:], trees)
+    scenario, path = jax.tree.map(lambda x, a: x[again] if a == 0 else x, trees, shared)
+    return gains, scenario, path, (axes, *group.batch.in_axes[1:])
+
+
+class _Runs(NamedTuple):
+    """Runs of a group: what they measure, and when they were lost, as a share, or NaN."""
+
+    measured: Measured
+    lost: Array
+
+
+def _simulate(
+    space: SearchSpace, group: Group, made: Recipe, segment: int, z: Array, data: Any
+) -> _Runs:
+    case = group.case
+    gains, scenario, path, axes = _lanes(space, group, z, *data)
+    loop = replace(case.loop, metric=made.metric, segment=segment)
+    ticks, lanes = case.window.ticks, len(z) * group.runs
+    tile = min(TILE, -(-lanes // jax.local_device_count()))
+    run = rollouts(
+        loop, gains, scenario, path, ticks, in_axes=axes, tile=tile, memory=MEMORY
+    )  # fmt: skip
+    left, broken = run.final.left_path_at, run.final.non_finite_at
+    at = jnp.where(left >= 0, left, broken)
+    gone = at >= 0
+
+    def present(x: Array) -> Array:
+        """Ones in place of the NaN of a lost run, which no gradient may meet."""
+        return jnp.where(gone.reshape(-1, *[1] * (x.ndim - 1)), jnp.ones_like(x), x)
+
+    report = jax.tree.map(present, run.report)
+    share = jnp.where(gone, at / ticks, jnp.nan)
+    return _Runs(measure(case, made, report), share)
+
+
+def _fast(space: SearchSpace, group: Group, z: Array) -> Array:
+    """Control period over the longest that the law's own memory allows, (m,)."""
+    limit = group.case.loop.controller.longest_period
+
+    def longest(one: Array) -> Array:
+        return jnp.min(jnp.asarray(limit(space.gains_of(one)), one.dtype))
+
+    return group.case.loop.dt / jax.vmap(longest)(z)
+
+
+class _Costs(NamedTuple):
+    """residuals: (m, runs, pieces); those of a lost run are 0 and its cost is in ``lost``, the
+    barrier (m, runs), 0 of others. violation, share: (m, runs). columns: (m, runs) each."""
+
+    residuals: Array
+    lost: Array
+    violation: Array
+    share: Array
+    columns: dict[str, Array]
+
+
+class _Parts(NamedTuple):
+    """What is fixed about the runs of a group. segment: ticks between checkpoints."""
+
+    space: SearchSpace
+    group: Group
+    made: Recipe
+    terms: tuple[Term, ...]
+    goals: tuple[Goal, ...]
+    segment: int
+
+
+class _Numbers(NamedTuple):
+    """Weights (m, terms), scales (terms,), penalty ()."""
+
+    weights: Array
+    scales: Array
+    penalty: Array
+
+
+def _residuals(
+    parts: _Parts, z: Array, numbers: _Numbers, measured: Measured, violations: list[Array]
+) -> Array:
+    """All whose squares add up to the cost of a run, (m, runs, pieces)."""
+    shape = (len(z), parts.group.runs)
+    weights = numbers.weights
+    roots = jnp.sqrt(weights / jnp.sum(weights, axis=-1, keepdims=True))
+    found = []
+    for t, term in enumerate(parts.terms):
+        value = measured.pieces.get(term.column, measured.columns[term.column])
+        found.append(value.reshape(*shape, -1) / numbers.scales[t] * roots[:, t, None, None])
+    for value in violations:
+        over = jnp.maximum(value + TIGHT, jnp.zeros_like(value))
+        found.append(jnp.sqrt(numbers.penalty) * over[..., None])
+    moved = math.sqrt(PULL) * (z - jnp.asarray(parts.space.start(), z.dtype)[None])
+    return jnp.concatenate(
+        [*found, jnp.broadcast_to(moved[:, None], (*shape, z.shape[1]))], axis=-1
+    )
+
+
+def _costs(parts: _Parts, z: Array, numbers: _Numbers, data: Any) -> _Costs:
+    runs = _simulate(parts.space, parts.group, parts.made, parts.segment, z, data)
+    shape = (len(z), parts.group.runs)
+    fast = jnp.maximum(_fast(parts.space, parts.group, z), 1.0)[:, None]
+    share = jnp.where(fast > 1, jnp.zeros(shape, z.dtype), runs.lost.reshape(shape))
+    gone = ~jnp.isnan(share)
+    columns = {name: value.reshape(shape) for name, value in runs.measured.columns.items()}
+    missed = [goal.violation(columns) for goal in parts.goals]
+    residuals = _residuals(parts, z, numbers, runs.measured, missed)
+    none = jnp.zeros(shape, z.dtype)
+    barrier = LOST * (2.0 - jnp.where(gone, share, none) + jnp.log(fast))
+    largest = jnp.max(jnp.stack(missed), axis=0) if missed else none - 1
+    return _Costs(
+        residuals=jnp.where(gone[..., None], jnp.zeros_like(residuals), residuals),
+        lost=jnp.where(gone, barrier, none),
+        violation=jnp.where(gone, jnp.full_like(none, jnp.inf), largest),
+        share=share,
+        columns={name: jnp.where(gone, jnp.nan, value) for name, value in columns.items()},
+    )
+
+
+def make_programs(
+    space: SearchSpace, groups: tuple[Group, ...], made: tuple[Recipe, ...],
+    terms: tuple[Term, ...], goals: tuple[Goal, ...], risk: Risk,
+) -> Programs:  # fmt: skip
+    """The programs of a problem; made: what the runs of each group compute."""
+    pairs = list(zip(groups, made, strict=True))
+    plain = [_Parts(space, group, one, terms, goals, 0) for group, one in pairs]
+    segmented = [p._replace(segment=math.isqrt(p.group.case.window.ticks)) for p in plain]
+    each = np.concatenate([group.weights for group in groups])
+    shares = each / each.sum()
+
+    def costs(parts: list[_Parts], z: Array, *arguments: Any) -> tuple[list[_Costs], Array, Array]:
+        """Those of each group, then c (m, runs) and the violation (m,) of all."""
+        *numbers, data = arguments
+        found = [
+            _costs(part, z, _Numbers(*numbers), own) for part, own in zip(parts, data, strict=True)
+        ]
+        summed = _joined(*(jnp.sum(c.residuals**2, axis=-1) + c.lost for c in found))
+        return found, summed, jnp.max(_joined(*(c.violation for c in found)), axis=1)
+
+    def omega(every: Array) -> Array:
+        return risk.weights(jax.lax.stop_gradient(every), jnp.asarray(shares, every.dtype))
+
+    def evaluate(z: Array, *arguments: Any) -> tuple[Any, ...]:
+        found, every, violation = costs(plain, z, *arguments)
+        lengths = [group.case.window.ticks * group.case.loop.dt for group in groups]
+        lost = [c.share * length for c, length in zip(found, lengths, strict=True)]
+        columns = jax.tree.map(_joined, *(c.columns for c in found))
+        return jnp.sum(omega(every) * every, axis=1), every, violation, _joined(*lost), columns
+
+    def slopes(z: Array, *arguments: Any) -> tuple[Array, ...]:
+        def total(z: Array) -> tuple[Array, Any]:
+            _, every, violation = costs(segmented, z, *arguments)
+            objective = jnp.sum(omega(every) * every, axis=1)
+            return jnp.sum(objective), (objective, violation)
+
+        gradient, (objective, violation) = jax.grad(total, has_aux=True)(z)
+        return objective, gradient, violation
+
+    def tangents(z: Array, directions: Array, *arguments: Any) -> Any:
+        """dr along each direction, (d, m, runs, pieces) a group; r, c and violation."""
+
+        def residuals(z: Array) -> tuple[list[Array], Any]:
+            found, every, violation = costs(plain, z, *arguments)
+            values = [c.residuals for c in found]
+            return values, (values, every, violation)
+
+        def along(direction: Array) -> Any:
+            moved = jnp.broadcast_to(direction, z.shape)
+            _, slope, rest = jax.jvp(residuals, (z,), (moved,), has_aux=True)
+            return slope, rest
+
+        return jax.vmap(along, out_axes=(0, None))(directions)
+
+    def curvatures(z: Array, *arguments: Any) -> tuple[Array, ...]:
+        directions = jnp.eye(z.shape[1], dtype=z.dtype)
+        slope, (values, every, violation) = tangents(z, directions, *arguments)
+        weight = omega(every)
+        ends = np.cumsum([group.runs for group in groups])[:-1].tolist()
+        of_runs = [
+            2 * jnp.einsum("imsp,msp->msi", dr, r) for r, dr in zip(values, slope, strict=True)
+        ]
+        matrices = [
+            2 * jnp.einsum("imsp,jmsp,ms->mij", dr, dr, w)
+            for dr, w in zip(slope, jnp.split(weight, ends, axis=1), strict=True)
+        ]
+        gradients = _joined(*of_runs)
+        gradient = jnp.sum(weight[..., None] * gradients, axis=1)
+        matrix = sum(matrices[1:], start=matrices[0])
+        return jnp.sum(weight * every, axis=1), gradient, matrix, violation, gradients
+
+    def directional(z: Array, directions: Array, *arguments: Any) -> Array:
+        """Slope of each run's cost along each direction, (d, m, runs)."""
+        slope, (values, _, _) = tangents(z, directions, *arguments)
+        each = [2 * jnp.sum(dr * r, axis=-1) for dr, r in zip(slope, values, strict=True)]
+        return jnp.concatenate(each, axis=-1)
+
+    return Programs(jax.jit(evaluate), jax.jit(slopes), jax.jit(curvatures), jax.jit(directional))
+
+
+def _joined(*values: Any) -> Any:
+    """Arrays (m, runs, ...) of the groups side by side."""
+    return jnp.concatenate(values, axis=1)

@@ -1,0 +1,333 @@
+"""What is tuned: gains by path, symbol or part, each in its box, as one unconstrained vector.
+
+The box of a setting is the user's, else the study's, else a factor around the value before, always
+within the range of the field. Labels name every coordinate.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxstage.model.fields import Quantity, in_units_of, leaves
+from jaxstage.model.settings import known_leaves, resolve, with_leaf
+from jaxstage.studies import Case, known_studies
+from tuning.tuner.problem.transforms import Transform, boxed, linear, logarithmic, ordered
+from tuning.uncertainty.uncertain_space import element_names
+
+#: a box that nobody gives: so many times smaller and larger than the value before
+FACTOR = 10.0
+#: where not all are positive: so many times the largest magnitude to either side
+SIGNED = 2.0
+
+
+class Search(NamedTuple):
+    """What a user says of a setting.
+
+    name: path, unique suffix or symbol of a setting, or a part with all gains below it. low, high:
+    the box, SI, of every element. tied: one number moves all its elements together. fixed: it
+    keeps its value though a part that holds it is searched. None: the default.
+    """
+
+    name: str
+    low: float | None = None
+    high: float | None = None
+    transform: Transform | None = None
+    tied: bool = False
+    fixed: bool = False
+
+
+class Entry(NamedTuple):
+    """One searched setting. low, high, before: in its shape. first, count: its coordinates."""
+
+    path: str
+    symbol: str
+    unit: str
+    transform: Transform
+    low: np.ndarray
+    high: np.ndarray
+    before: np.ndarray
+    labels: tuple[str, ...]
+    tied: bool
+    first: int
+    count: int
+
+    def z_of(self, value: np.ndarray) -> np.ndarray:
+        """Its coordinates (count,) of a value."""
+        z = self.transform.inverse(value, self.low, self.high, self.before)
+        if not self.tied:
+            return z.reshape(-1)
+        begun = self.transform.inverse(self.before, self.low, self.high, self.before)
+        return np.mean(z - begun, keepdims=True).reshape(1)
+
+    def value_of(self, z: Array) -> Array:
+        """Its value, in its shape, of its coordinates (count,)."""
+        if self.tied:
+            begun = self.transform.inverse(self.before, self.low, self.high, self.before)
+            z = jnp.asarray(begun, z.dtype) + z[0]
+        else:
+            z = z.reshape(self.before.shape)
+        return self.transform.forward(z, self.low, self.high, self.before)
+
+
+class SearchSpace(NamedTuple):
+    """All that is searched. gains: those before, which hold what is not."""
+
+    gains: Any
+    entries: tuple[Entry, ...]
+
+    @property
+    def size(self) -> int:
+        """n, the number of coordinates."""
+        return sum(entry.count for entry in self.entries)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """One a coordinate; of tied elements the setting alone."""
+        return tuple(
+            label
+            for entry in self.entries
+            for label in ((entry.path,) if entry.tied else entry.labels)
+        )
+
+    def gains_of(self, z: Array) -> Any:
+        """The gains of one vector z (n,). Traceable."""
+        gains = self.gains
+        for entry in self.entries:
+            value = entry.value_of(z[entry.first : entry.first + entry.count])
+            gains = with_leaf(gains, entry.path.split(".")[1:], value)
+        return gains
+
+    def z_of(self, gains: Any) -> np.ndarray:
+        """The vector (n,) of gains; values at or beyond the edge of a box are moved inside."""
+        known = {path: value for path, _, value in leaves(gains, "gains")}
+        return np.concatenate([e.z_of(np.asarray(known[e.path], float)) for e in self.entries])
+
+    def start(self) -> np.ndarray:
+        """The vector of the gains before."""
+        return self.z_of(self.gains)
+
+
+class Parameter(NamedTuple):
+    """One element of a searched setting. at_bound: within 1 % of an edge of its box, on the scale
+    of its transform."""
+
+    label: str
+    path: str
+    index: tuple[int, ...]
+    symbol: str
+    unit: str
+    value: float
+    before: float
+    low: float
+    high: float
+    at_bound: bool
+
+
+def parameters(space: SearchSpace, z: np.ndarray) -> tuple[Parameter, ...]:
+    """Every element of what is searched, with its value at z."""
+    found = []
+    for e in space.entries:
+        value = np.asarray(e.value_of(jnp.asarray(z[e.first : e.first + e.count])), float)
+        near = _near_edge(e, value)
+        for index, label in zip(np.ndindex(value.shape), e.labels, strict=True):
+            now, before, low, high = (float(a[index]) for a in (value, e.before, e.low, e.high))
+            found.append(
+                Parameter(
+                    label, e.path, index, e.symbol, e.unit, now, before, low, high,
+                    bool(near[index]),
+                )
+            )  # fmt: skip
+    return tuple(found)
+
+
+def _near_edge(entry: Entry, value: np.ndarray) -> np.ndarray:
+    if entry.transform == linear:
+        return np.zeros(value.shape, bool)
+    scale = np.log if entry.transform == logarithmic else np.asarray
+    low, high, at = (scale(x) for x in (entry.low, entry.high, value))
+    return np.abs(2 * at - low - high) > 0.98 * (high - low)
+
+
+# --- making one ------------------------------------------------------------------------------
+
+
+def default_searches(case: Case) -> tuple[Search, ...]:
+    """The boxes of the study of a case that the loop has; without any, every gain that is not 0."""
+    known = {path: found for path, found in _gains(case).items() if _has_scale(*found)}
+    boxes = [
+        box
+        for study in known_studies()
+        if any(entry.name == case.name for entry in study.loops)
+        for box in study.boxes
+    ]
+    found = []
+    for path in known:
+        box = next((b for b in boxes if path.endswith("." + b.path)), None)
+        if box is not None:
+            found.append(Search(path, box.low, box.high, tied=box.tied))
+    return tuple(found) or tuple(map(Search, known))
+
+
+def _has_scale(quantity: Quantity, value: Any) -> bool:
+    """True for a gain whose elements say by themselves in what range to search."""
+    array = np.asarray(value)
+    return quantity.role == "gain" and bool(np.all(np.isfinite(array) & (array != 0)))
+
+
+def search_space(case: Case, searches: Sequence[Search], factor: float = FACTOR) -> SearchSpace:
+    """The space of what is named.
+
+    Raises ValueError, one line, for an empty set, an unknown name, one named twice, bounds the
+    wrong way round or outside of the range of the field, a value outside its box, and a value of 0
+    without a box.
+    """
+    if not factor > 1:
+        raise ValueError(f"factor = {factor:g}: must be > 1")
+    known = _gains(case)
+    chosen = _chosen(known, searches)
+    if not chosen:
+        raise ValueError("nothing to tune: name gains, e.g. c1 (`jaxstage run` shows them)")
+    entries: list[Entry] = []
+    for path, search in chosen.items():
+        first = sum(entry.count for entry in entries)
+        entries.append(_entry(case, path, *known[path], search, factor, first))
+    return SearchSpace(case.gains, _in_order(entries, known))
+
+
+def _gains(case: Case) -> dict[str, tuple[Quantity, Any]]:
+    known = known_leaves(case.gains, case.scenario)
+    return {path: found for path, found in known.items() if path.startswith("gains.")}
+
+
+def _chosen(
+    known: Mapping[str, tuple[Quantity, Any]], searches: Sequence[Search]
+) -> dict[str, Search]:
+    """Full path -> what is said of it. A setting outweighs the part that holds it."""
+    single: dict[str, Search] = {}
+    within: dict[str, Search] = {}
+    for search in searches:
+        below = _part(known, search.name)
+        for path in below or (resolve(search.name, known),):
+            target = within if below else single
+            if path in target:
+                raise ValueError(f"{path} is named twice")
+            target[path] = search
+    both = {path: s for path, s in within.items() if path not in single} | single
+    return {path: both[path] for path in known if path in both and not both[path].fixed}
+
+
+def _part(known: Mapping[str, tuple[Quantity, Any]], name: str) -> tuple[str, ...]:
+    """The gains below a part that is named by path or suffix, without those that are 0."""
+    return tuple(
+        path
+        for path, (quantity, value) in known.items()
+        if f".{name}." in f".{path}" and _has_scale(quantity, value)
+    )
+
+
+def _entry(
+    case: Case, path: str, general: Quantity, value: Any, search: Search, factor: float, first: int
+) -> Entry:
+    quantity = in_units_of(general, case.loop.plant.command_unit)
+    before = np.asarray(value, float)
+    names = [element_names(index, before.shape, case) for index in np.ndindex(before.shape)]
+    labels = tuple(" ".join((path, *name)) for name in names)
+    low, high = _box(path, quantity, before, search, factor)
+    transform = search.transform or _suited(low, high)
+    _check_box(path, quantity, before, low, high, transform)
+    count = 1 if search.tied else before.size
+    return Entry(
+        path, quantity.symbol, quantity.unit, transform, low, high, before, labels, search.tied,
+        first, count,
+    )  # fmt: skip
+
+
+def _suited(low: np.ndarray, high: np.ndarray) -> Transform:
+    if not np.all(np.isfinite(low) & np.isfinite(high)):
+        return linear
+    return logarithmic if np.all(low > 0) else boxed
+
+
+def _box(
+    path: str, quantity: Quantity, before: np.ndarray, search: Search, factor: float
+) -> tuple[np.ndarray, np.ndarray]:
+    if search.transform == linear:
+        return np.full(before.shape, -np.inf), np.full(before.shape, np.inf)
+    if search.transform == ordered:
+        if before.ndim != 1 or np.any(np.diff(before) <= 0):
+            raise ValueError(f"{path}: transform ordered needs a list of increasing values")
+        low, high = _around(before)
+    elif np.all(before > 0):
+        low, high = before / factor, before * factor
+    else:
+        reach = SIGNED * np.max(np.abs(before))
+        if reach == 0 and None in (search.low, search.high):
+            raise ValueError(f"{path} is 0: give low and high to tune it")
+        low, high = before - reach, before + reach
+    low = np.maximum(low, quantity.low) if search.low is None else np.full_like(low, search.low)
+    high = (
+        np.minimum(high, quantity.high) if search.high is None else np.full_like(high, search.high)
+    )
+    if search.low is None and quantity.above > -np.inf:
+        low = np.maximum(low, quantity.above + 1e-6 * (high - quantity.above))
+    return low, high
+
+
+def _around(before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A box for increasing values: one mean gap more at either end."""
+    gap = (before[-1] - before[0]) / max(before.size - 1, 1)
+    return np.full(before.shape, before[0] - gap), np.full(before.shape, before[-1] + gap)
+
+
+def _check_box(
+    path: str, quantity: Quantity, before: np.ndarray, low: np.ndarray, high: np.ndarray,
+    transform: Transform,
+) -> None:  # fmt: skip
+    if np.any(low >= high):
+        at = np.unravel_index(int(np.argmax(low >= high)), low.shape)
+        raise ValueError(f"{path}: low = {low[at]:g} must be below high = {high[at]:g}")
+    inside = (low >= quantity.low) & (low >= quantity.above) & (high <= quantity.high)
+    if transform != linear and not np.all(inside):
+        at = np.unravel_index(int(np.argmin(inside)), low.shape)
+        raise ValueError(
+            f"{path}: the box {low[at]:g}..{high[at]:g} leaves the range of the field: "
+            f"{quantity.range_text()}"
+        )
+    out = (before < low) | (before > high)
+    if np.any(out):
+        at = np.unravel_index(int(np.argmax(out)), out.shape)
+        raise ValueError(f"{path} = {before[at]:g} is outside its box {low[at]:g}..{high[at]:g}")
+    if transform == logarithmic and not np.all(low > 0):
+        raise ValueError(f"{path}: transform log needs low > 0, got {np.min(low):g}")
+    finite = np.all(np.isfinite(low) & np.isfinite(high))
+    if transform != linear and not finite:
+        raise ValueError(f"{path}: transform {transform.name} needs low and high")
+
+
+def _in_order(entries: list[Entry], known: Mapping[str, tuple[Quantity, Any]]) -> tuple[Entry, ...]:
+    """Boxes narrowed so that no value can fall below the one that its field must not fall below."""
+    found = {entry.path: entry for entry in entries}
+    for path, (quantity, value) in known.items():
+        if not quantity.at_least:
+            continue
+        other = f"{path.rpartition('.')[0]}.{quantity.at_least}"
+        upper, lower = np.asarray(value, float), np.asarray(known[other][1], float)
+        if path in found and other in found:
+            lower = upper = (lower + upper) / 2
+        if path in found:
+            found[path] = _narrowed(found[path], np.maximum(found[path].low, lower), None)
+        if other in found:
+            found[other] = _narrowed(found[other], None, np.minimum(found[other].high, upper))
+    return tuple(found.values())
+
+
+def _narrowed(entry: Entry, low: np.ndarray | None, high: np.ndarray | None) -> Entry:
+    narrow = entry._replace(
+        low=entry.low if low is None else low, high=entry.high if high is None else high
+    )
+    if np.any(narrow.low >= narrow.high):
+        raise ValueError(f"{entry.path}: nothing is left of its box beside its neighbour's value")
+    return narrow

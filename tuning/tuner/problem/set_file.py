@@ -1,0 +1,172 @@
+"""The user's file of training and held-out sets."""
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxstage.model.settings import line_of, nearest_name, read_toml
+from jaxstage.studies import find
+from tuning.store.prepare import prepare
+from tuning.tuner.problem.default_sets import Asked, default_held_out, default_training
+from tuning.tuner.problem.scenario_set import MOST_RUNS, Contour, Wanted
+from tuning.uncertainty.designs import DESIGNS
+
+
+class Sets(NamedTuple):
+    """What is trained on and what is held out."""
+
+    train: Wanted
+    held_out: Wanted
+
+
+def read_sets(file: Path | None, asked: Asked) -> Sets:
+    """The sets of a file, or the default ones.
+
+    Raises ValueError, one line with its place, for anything unknown or out of range.
+    """
+    case = prepare(asked.loop, list(asked.words), asked.gains, asked.scenario).case
+    sets = Sets(default_training(asked, case), default_held_out(asked, case))
+    if file is None:
+        return sets
+    content = read_toml(file)
+    for name in content:
+        if name.partition(".")[0] not in Sets._fields:
+            raise ValueError(
+                f"{file}:{line_of(file, name)}: '{name}' is not in [train], [held_out]"
+            )
+    return Sets(*(_read(file, content, name, set_) for name, set_ in sets._asdict().items()))
+
+
+def _read(file: Path, content: Mapping[str, Any], name: str, default: Wanted) -> Wanted:
+    given = {
+        key.removeprefix(f"{name}."): value
+        for key, value in content.items()
+        if key.startswith(f"{name}.")
+    }
+    if "contour" in given and "horizons" not in given:  # the timing of a contour then counts
+        default = default._replace(horizons=(), skip=None)
+    wanted = default
+    for key, value in given.items():
+        try:
+            if key not in _KEYS:
+                hint = nearest_name(key, _KEYS)
+                raise ValueError(f"unknown key '{key}'{hint}: one of {', '.join(_KEYS)}")
+            field, convert = _KEYS[key]
+            wanted = wanted._replace(**{field: convert(key, value)})
+        except ValueError as error:
+            raise ValueError(f"{file}:{_line(file, name, key)}: [{name}] {error}") from None
+    return _whole(file, name, wanted)
+
+
+def _line(file: Path, table: str, key: str) -> int:
+    """The line of a key within a table, or of the first [[table.key]]."""
+    inside = False
+    for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), start=1):
+        text = line.split("#")[0].strip()
+        if text.startswith("["):
+            inside = text.strip("[] ") == table
+            if text.strip("[] ") == f"{table}.{key}":
+                return number
+        elif inside and text.split("=")[0].strip() == key:
+            return number
+    return line_of(file, key)
+
+
+def _whole(file: Path, name: str, wanted: Wanted) -> Wanted:
+    if wanted.plants + wanted.nominal < 1:
+        raise ValueError(f"{file}: [{name}] holds no plant: plants = 0 needs nominal = true")
+    if wanted.dealt and wanted.plants + wanted.nominal < len(wanted.contours):
+        raise ValueError(f"{file}: [{name}] fewer plants than contours to deal them to")
+    if wanted.plants and not wanted.spreads:
+        raise ValueError(f"{file}: [{name}] nothing is uncertain: give [[{name}.spread]] tables")
+    return wanted
+
+
+def _count(least: int) -> Callable[[str, Any], int]:
+    def convert(key: str, value: Any) -> int:
+        if type(value) is not int or not least <= value <= MOST_RUNS:
+            raise ValueError(f"{key} = {value}: must be a whole number {least}..{MOST_RUNS}")
+        return value
+
+    return convert
+
+
+def _seed(key: str, value: Any) -> int:
+    if type(value) is not int or not 0 <= value < 2**32:
+        raise ValueError(f"{key} = {value}: must be a whole number 0..{2**32 - 1}")
+    return value
+
+
+def _flag(key: str, value: Any) -> bool:
+    if type(value) is not bool:
+        raise ValueError(f"{key} = {value}: must be true or false")
+    return value
+
+
+def _time(least: float) -> Callable[[str, Any], float]:
+    def convert(key: str, value: Any) -> float:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not number or not (math.isfinite(value) and value >= least):
+            raise ValueError(f"{key} = {value}: must be {'> 0' if least else '>= 0'} s")
+        return float(value)
+
+    return convert
+
+
+def _times(key: str, value: Any) -> tuple[float, ...]:
+    if not isinstance(value, list) or not value:
+        raise ValueError(f"{key} = {value}: must be a list of times in s")
+    return tuple(_time(1e-9)(key, v) for v in value)
+
+
+def _tables(key: str, value: Any) -> tuple[Mapping[str, Any], ...]:
+    if not isinstance(value, list) or not value or not all(isinstance(t, dict) for t in value):
+        raise ValueError(f"write [[...{key}]], a table for each")
+    return tuple(value)
+
+
+def _contours(key: str, value: Any) -> tuple[Contour, ...]:
+    return tuple(_contour(table) for table in _tables(key, value))
+
+
+def _contour(table: Mapping[str, Any]) -> Contour:
+    wrong = set(table) - {"loop", "set"}
+    if wrong:
+        raise ValueError(f"contour: unknown key '{sorted(wrong)[0]}': one of loop, set")
+    words = table.get("set", [])
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise ValueError(f'contour: set = {words}: must be a list like ["lap_time=1"]')
+    return Contour(find(str(table.get("loop", ""))).name, tuple(words))
+
+
+def _design(key: str, value: Any) -> str:
+    names = [name for name in DESIGNS if name not in ("corners", "saltelli")]
+    if value not in names:
+        raise ValueError(f"{key} = {value}: must be one of {', '.join(names)}")
+    return value
+
+
+#: key of the file -> field of `Wanted`, and what checks it
+_KEYS: dict[str, tuple[str, Callable[[str, Any], Any]]] = {
+    "contour": ("contours", _contours),
+    "plants": ("plants", _count(0)),
+    "nominal": ("nominal", _flag),
+    "noise_seeds": ("noise_seeds", _count(1)),
+    "seed": ("seed", _seed),
+    "horizons": ("horizons", _times),
+    "skip": ("skip", _time(0.0)),
+    "load": ("loads", _tables),
+    "start": ("starts", _tables),
+    "spread": ("spreads", _tables),
+    "correlation": ("correlations", _tables),
+    "design": ("design", _design),
+    "dealt": ("dealt", _flag),
+}
+
+
+def apart(sets: Sets) -> None:
+    """Refuse a held-out set that is the training set. Raises ValueError."""
+    same = ("contours", "seed", "horizons", "spreads", "design")
+    if all(getattr(sets.train, key) == getattr(sets.held_out, key) for key in same):
+        raise ValueError("the held-out set is the training set: give it another seed or contour")

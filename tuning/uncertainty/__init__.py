@@ -1,0 +1,1 @@
+"""What is uncertain: spreads, designs, scenario files, statistics."""

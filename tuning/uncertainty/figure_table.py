@@ -1,0 +1,64 @@
+"""A batch of runs as columns of a table: one row a run, units in the names."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxstage.metrics.table import key
+from jaxstage.model.blocks import Plant
+from jaxstage.model.fields import in_units_of, leaves
+from jaxstage.model.signals import Run
+from jaxstage.studies import Case
+from tuning.uncertainty.uncertain_space import Uncertain
+
+#: columns that say what became of a run
+FLAGS = ("finite", "left_path_at", "non_finite_at", "lost_at_s")
+
+
+def parameter_columns(
+    uncertain: Iterable[Uncertain], values: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Drawn values, one column an element, SI, e.g. ``plant_mass_x_kg``. values: path -> (n, *)."""
+    table = {}
+    for item in uncertain:
+        flat = values[item.path].reshape(len(values[item.path]), -1)
+        table |= {name: flat[:, i] for i, name in enumerate(item.columns)}
+    return table
+
+
+def figure_columns(report: Any, plant: Plant) -> dict[str, np.ndarray]:
+    """Figures of a batch in display units, one column an axis, e.g. ``following_rms_x_um``.
+
+    report: leaves (n,) or (n, axes). Lost runs are NaN.
+    """
+    table = {}
+    for path, general, value in leaves(report):
+        quantity = in_units_of(general, plant.command_unit)
+        name = path.rsplit(".", 1)[-1]
+        array = np.asarray(value).astype(float) * quantity.factor
+        parts = {"": array} if array.ndim == 1 else {
+            f"_{axis}": array[:, i] for i, axis in enumerate(plant.axes)
+        }  # fmt: skip
+        table |= {key(name + suffix, quantity.shown): column for suffix, column in parts.items()}
+    return table
+
+
+def figure_names(case: Case) -> tuple[str, ...]:
+    """The columns that `figure_columns` gives for the runs of a case."""
+    loop = case.loop
+    first = loop.reference.sample(case.path, jnp.zeros((), jnp.int32))
+    report = loop.metric.finish(loop.metric.init(first))
+    return tuple(figure_columns(jax.tree.map(lambda x: np.asarray(x)[None], report), loop.plant))
+
+
+def flag_columns(run: Run, dt: float) -> dict[str, np.ndarray]:
+    """`FLAGS` of a batch; ticks are -1 and times NaN where nothing happened."""
+    left, broken = (
+        np.asarray(t).astype(np.int32) for t in (run.final.left_path_at, run.final.non_finite_at)
+    )
+    at = np.where(left >= 0, left, broken)
+    flags = (at < 0, left, broken, np.where(at < 0, np.nan, at * dt))
+    return dict(zip(FLAGS, flags, strict=True))
