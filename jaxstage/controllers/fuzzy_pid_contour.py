@@ -43,7 +43,7 @@ from jaxstage.controllers.parts.contour_error import (
     unwinding,
     vector,
 )
-from jaxstage.controllers.parts.fuzzy import Sets, infer, limited, strengths
+from jaxstage.controllers.parts.fuzzy import FuzzySets, infer, limited, strengths
 from jaxstage.model.blocks import Controller
 from jaxstage.model.fields import gain, part, pytree, replace, signal
 from jaxstage.model.signals import Measurement, Setpoint
@@ -100,8 +100,8 @@ class FuzzyPidContour:
     """Gains of the adaptive fuzzy PID cross-coupled law, shared by all axes."""
 
     rules: Rules = part("consequents at the start")
-    error_sets: Sets = part("sets of the contour error")
-    rate_sets: Sets = part("sets of its rate")
+    error_sets: FuzzySets = part("sets of the contour error")
+    rate_sets: FuzzySets = part("sets of its rate")
     scales: Scales = part("normalisation")
     adaptation: Adaptation = part("how the rules learn")
     bounds: Bounds = part("between what the consequents are kept")

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from jaxstage.controllers.parts.fuzzy import (
     REACH,
-    Sets,
+    FuzzySets,
     infer,
     membership,
     set_names,
@@ -24,7 +24,7 @@ def _figure(title: str, width: float, height: float) -> Figure:
     return drawn
 
 
-def memberships(sets: Sets, name: str = "normalised input") -> Figure:
+def memberships(sets: FuzzySets, name: str = "normalised input") -> Figure:
     """The membership functions of one input over its range. name: of the input."""
     drawn = _figure("membership functions", 10.0, 4.5)
     ax = drawn.add_subplot()
@@ -40,7 +40,7 @@ def memberships(sets: Sets, name: str = "normalised input") -> Figure:
 
 
 def rule_surface(
-    first: Sets, second: Sets, consequents: jax.Array, output: str,
+    first: FuzzySets, second: FuzzySets, consequents: jax.Array, output: str,
     inputs: tuple[str, str] = ("X1", "X2"),
 ) -> Figure:  # fmt: skip
     """What the rules infer over both inputs, with the consequents written at their centres.

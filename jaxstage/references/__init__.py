@@ -20,7 +20,7 @@ from jaxstage.references.nurbs import evaluate as evaluate
 from jaxstage.references.nurbs import is_closed as is_closed
 from jaxstage.references.nurbs import nurbs as nurbs
 from jaxstage.references.nurbs import points as points
-from jaxstage.references.one_axis import Step as Step
+from jaxstage.references.one_axis import StepMotion as StepMotion
 from jaxstage.references.one_axis import Swing as Swing
 from jaxstage.references.one_axis import step as step
 from jaxstage.references.one_axis import stepping as stepping

@@ -23,7 +23,7 @@ class Swing:
 
 
 @pytree
-class Step:
+class StepMotion:
     """A step: r = h from the start, for an axis that stands elsewhere."""
 
     height: Array = param("m", "h", "commanded position", shown="mm")
@@ -40,18 +40,18 @@ def swing(amplitude: float, period: float) -> Swing:
     )
 
 
-def step(height: float) -> Step:
+def step(height: float) -> StepMotion:
     """A checked step. height: m. Raises ValueError unless it is finite."""
     if not np.isfinite(height):
         raise ValueError(f"height must be finite; got {height!r}")
-    return Step(height=np.asarray(height, float))  # type: ignore[arg-type]
+    return StepMotion(height=np.asarray(height, float))  # type: ignore[arg-type]
 
 
 def _swung(path: Swing, time: Array) -> Array:
     return (path.amplitude * (1 + jnp.cos(2 * jnp.pi * time / path.period)))[None]
 
 
-def _held(path: Step, time: Array) -> Array:
+def _held(path: StepMotion, time: Array) -> Array:
     return path.height[None]
 
 
@@ -63,5 +63,5 @@ def swinging(dt: float) -> Reference:
 
 @functools.cache
 def stepping(dt: float) -> Reference:
-    """The motion of a `Step`; one axis. dt: control period in s."""
+    """The motion of a `StepMotion`; one axis. dt: control period in s."""
     return analytic("stepping", _held, dt)

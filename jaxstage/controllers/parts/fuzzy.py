@@ -32,17 +32,17 @@ HALF_CROSSING = 0.5 / math.sqrt(math.log(2.0))
 
 
 @pytree
-class Sets:
+class FuzzySets:
     """Gaussian sets of one input."""
 
     centres: Array = gain("1", "c", "centres of the sets", shape="(sets,)")
     width: Array = gain("1", "sigma", "width of the sets", above=0.0)
 
 
-def seven_sets() -> Sets:
+def seven_sets() -> FuzzySets:
     """Centres -3 ... 3, neighbours crossing at one half."""
     centres, width = np.arange(-3.0, 4.0), np.array(HALF_CROSSING)
-    return Sets(centres=cast(Array, centres), width=cast(Array, width))
+    return FuzzySets(centres=cast(Array, centres), width=cast(Array, width))
 
 
 def limited(x: Array) -> Array:
@@ -50,21 +50,21 @@ def limited(x: Array) -> Array:
     return REACH * jnp.tanh(x)
 
 
-def _exponent(sets: Sets, x: Array) -> Array:
+def _exponent(sets: FuzzySets, x: Array) -> Array:
     return -(((x - sets.centres) / sets.width) ** 2)
 
 
-def membership(sets: Sets, x: Array) -> Array:
+def membership(sets: FuzzySets, x: Array) -> Array:
     """mu_k(x), (sets,). x: ()."""
     return jnp.exp(_exponent(sets, x))
 
 
-def degrees(sets: Sets, x: Array) -> Array:
+def degrees(sets: FuzzySets, x: Array) -> Array:
     """mu_k(x) / sum of mu, (sets,); finite for any finite x. x: ()."""
     return jax.nn.softmax(_exponent(sets, x))
 
 
-def strengths(first: Sets, second: Sets, x1: Array, x2: Array) -> Array:
+def strengths(first: FuzzySets, second: FuzzySets, x1: Array, x2: Array) -> Array:
     """xi, (sets of the first input, sets of the second); sum 1. x1, x2: ()."""
     return degrees(first, x1)[:, None] * degrees(second, x2)[None, :]
 

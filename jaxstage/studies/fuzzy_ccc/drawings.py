@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxstage.controllers.parts.fuzzy import (
     REACH,
-    Sets,
+    FuzzySets,
     infer,
     membership,
     set_names,
@@ -26,7 +26,7 @@ from jaxstage.studies.fuzzy_ccc.variants import LEAK, MASS_ERROR, PROPORTIONAL, 
 AXES = ("x", "y", "z")
 
 
-def _sets() -> dict[str, Sets]:
+def _sets() -> dict[str, FuzzySets]:
     """The sets of both inputs, from the gains of the adaptive loop."""
     extra = build(law("af-pid-ccc"), "af-pid-ccc", TIMING).gains.extra
     return {"X1, contour error": extra.error_sets, "X2, its rate": extra.rate_sets}
