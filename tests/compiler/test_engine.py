@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from speed.agreement import distinct, moved, spread
+from benchmarks.agreement import distinct, moved, spread
 
 import jaxstage as js
 from jaxstage.compiler.cxx.kernels import kernel

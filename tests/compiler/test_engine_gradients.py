@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from speed.agreement import spread
+from benchmarks.agreement import spread
 
 import jaxstage as js
 from jaxstage.compiler.cxx.kernels import kernel
