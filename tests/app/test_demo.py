@@ -8,9 +8,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
-from test_front import read
 
 from jaxstage.plot.pictures import save
+from tests.app.test_front import read
 from tests.helpers.commanding import command as command
 from tests.helpers.commanding import few_figures, strict_json
 from tuning.app.main import EXAMPLES

@@ -9,10 +9,10 @@ from html.parser import HTMLParser
 import jax
 import pytest
 import typer
-from test_studies import small_study
 
 from tests.helpers.commanding import command as command
 from tests.helpers.commanding import few_figures
+from tests.studies.test_studies import small_study
 from tuning.app.main import EXAMPLES, app
 from tuning.app.reports.page import Page, html
 

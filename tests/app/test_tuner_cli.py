@@ -10,8 +10,8 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from test_front import read
 
+from tests.app.test_front import read
 from tests.helpers.commanding import command as command
 from tests.helpers.commanding import strict_json
 from tuning.store.gains_file import read_tuned

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from benchmarks.agreement import distinct, moved, spread
 
 import jaxstage as js
+from benchmarks.agreement import distinct, moved, spread
 from jaxstage.compiler.cxx.kernels import kernel
 from jaxstage.compiler.runtime import api as engine_loop
 from jaxstage.compiler.runtime import toolchain as building

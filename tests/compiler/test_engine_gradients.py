@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from benchmarks.agreement import spread
 
 import jaxstage as js
+from benchmarks.agreement import spread
 from jaxstage.compiler.cxx.kernels import kernel
 from jaxstage.compiler.frontend.step_program import is_real
 from jaxstage.compiler.runtime import jax_primitives as primitives

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from benchmarks.baselines import numpy_rollout
 from benchmarks.build import Kernel, Variant, compiler, widths
 from benchmarks.cases import LAWS, work
