@@ -16,9 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jaxstage.c_export.law_graph import Law, coupled, of_axis, trace
-from jaxstage.c_export.replay import Recorded, makefile, readme, recorded_header, replay_source
+from jaxstage.c_export.law_graph import LawGraph, coupled, of_axis, trace
+from jaxstage.c_export.replay import RecordedTicks, makefile, readme, recorded_header, replay_source
 from jaxstage.c_export.source_files import Identity, gains_source, header, source
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.model.blocks import Loop
 from jaxstage.model.signals import Sample, Scenario
 from jaxstage.model.validate import check_leaves, strong
@@ -80,16 +81,18 @@ def check_names(loop: Loop, axis: str | None, prefix: str) -> None:
         raise ValueError(f"prefix '{prefix}': must be a name in C, and not replay or recorded")
 
 
-def _law(loop: Loop, gains: Any, rows: Recorded, axis: str | None) -> tuple[Law, Recorded]:
+def _law(
+    loop: Loop, gains: Any, rows: RecordedTicks, axis: str | None
+) -> tuple[LawGraph, RecordedTicks]:
     """The law and the ticks, of all axes or of one."""
     axes = loop.plant.axes
 
-    def traced(gains: Any, rows: Recorded, one: bool) -> Law:
+    def traced(gains: Any, rows: RecordedTicks, one: bool) -> LawGraph:
         setpoint, seen = jax.tree.map(lambda x: x[0], (rows.setpoint, rows.measurement))
         unit = loop.plant.command_unit
         try:
             return trace(loop.controller, gains, setpoint, seen, loop.dt, unit, one)
-        except NotImplementedError as reason:
+        except LoweringError as reason:
             raise ValueError(f"{loop.controller.name} cannot be written in C: {reason}") from None
 
     law = traced(gains, rows, one=len(axes) == 1)
@@ -108,13 +111,13 @@ def _law(loop: Loop, gains: Any, rows: Recorded, axis: str | None) -> tuple[Law,
 
 def _follow(
     loop: Loop, gains: Any, scenario: Scenario, setpoint: Any, measurement: Any
-) -> Recorded:
+) -> RecordedTicks:
     """What the law demands at recorded samples, in double precision."""
     gains, *samples = jax.tree.map(
         lambda x: jnp.asarray(x, jnp.float64), (gains, setpoint, measurement)
     )
     demand, command = _followed(loop, gains, scenario.drive, tuple(samples))
-    return Recorded(setpoint, measurement, np.asarray(demand), np.asarray(command))
+    return RecordedTicks(setpoint, measurement, np.asarray(demand), np.asarray(command))
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -45,7 +45,7 @@ class Function(NamedTuple):
         return [Element(group, number, first + k) for k in reach]
 
 
-class Law(NamedTuple):
+class LawGraph(NamedTuple):
     """A control law, scalar by scalar.
 
     settle is None where nothing has to be told to the law after ``step``: then ``step`` holds what
@@ -76,9 +76,9 @@ def trace(
     dt: float,
     command_unit: str,
     one_axis: bool = False,
-) -> Law:
+) -> LawGraph:
     """The law at the types and shapes of its arguments. one_axis: of a single axis, whose leading
-    1 is left out of the structs. Raises NotImplementedError for what has no scalar form."""
+    1 is left out of the structs. Raises LoweringError for what has no scalar form."""
     demand = jax.ShapeDtypeStruct(setpoint.position.shape, setpoint.position.dtype)
     begun = jax.eval_shape(controller.init, gains, setpoint, measurement)
     given = {"gains": gains, "memory": begun, "setpoint": setpoint, "measurement": measurement}
@@ -102,7 +102,7 @@ def trace(
     single = demand.dtype == np.float32
     whole = _function(both, given | told, single)
     apart = any(element.group in told for element in read(whole))
-    return Law(
+    return LawGraph(
         init=_function(init, {name: given[name] for name in given if name != "memory"}, single),
         step=_function(step, given, single) if apart else whole,
         settle=_function(settle, {"gains": gains, "memory": begun, **told}, single)
@@ -154,7 +154,7 @@ def _per_axis(quantity: Quantity, shape: tuple[int, ...], axes: int) -> bool:
     return own and shape[:1] == (axes,)
 
 
-def coupled(law: Law) -> str | None:
+def coupled(law: LawGraph) -> str | None:
     """What of one axis depends on another axis, or None: then each axis is a law of its own."""
     owner: dict[Element, int | None] = {
         Element(group, leaf, index): _axis(member, group, law.axes, index)

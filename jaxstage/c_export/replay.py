@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxstage.c_export.law_graph import STRUCTS, Law
+from jaxstage.c_export.law_graph import STRUCTS, LawGraph
 from jaxstage.c_export.source_files import Identity, call_order, unused, used
 from jaxstage.c_export.structs import Member
 from jaxstage.compiler.c99.ops import number
@@ -16,7 +16,7 @@ from jaxstage.compiler.c99.ops import number
 BOUND = {False: 1e-12, True: 1e-4}
 
 
-class Recorded(NamedTuple):
+class RecordedTicks(NamedTuple):
     """Ticks of a closed loop, each leaf (ticks, ...): what the law saw, asked for and was left."""
 
     setpoint: Any
@@ -25,7 +25,7 @@ class Recorded(NamedTuple):
     command: np.ndarray
 
 
-def recorded_header(law: Law, what: Identity, rows: Recorded) -> str:
+def recorded_header(law: LawGraph, what: Identity, rows: RecordedTicks) -> str:
     """The ticks as a C table."""
     p, n = what.prefix, law.axes
     columns = {name: _columns(law, name, getattr(rows, name)) for name in STRUCTS[2:]}
@@ -51,7 +51,7 @@ def recorded_header(law: Law, what: Identity, rows: Recorded) -> str:
     )
 
 
-def _columns(law: Law, group: str, tree: Any) -> list[tuple[Member, np.ndarray]]:
+def _columns(law: LawGraph, group: str, tree: Any) -> list[tuple[Member, np.ndarray]]:
     """The members of a struct that the law reads, with their values in every tick."""
     kept = {member.names for member in used(law, group)}
     pairs = zip(getattr(law, group), jax.tree.leaves(tree), strict=True)
@@ -63,7 +63,7 @@ def _numbers(member: Member, values: np.ndarray, what: Identity) -> str:
     return "{" + ", ".join(texts) + "}" if member.shape else texts[0]
 
 
-def replay_source(law: Law, what: Identity) -> str:
+def replay_source(law: LawGraph, what: Identity) -> str:
     """The program: 0 where every demand is met within the bound, else 1."""
     p, n = what.prefix, law.axes
     told = law.settle is not None
@@ -154,7 +154,7 @@ clean:
 ARM = "-mcpu=cortex-m4 -mthumb -mfloat-abi=hard -mfpu=fpv4-sp-d16"
 
 
-def readme(law: Law, what: Identity, ticks: int) -> str:
+def readme(law: LawGraph, what: Identity, ticks: int) -> str:
     """What is in the folder, how to call it, how it was checked."""
     p = what.prefix
     title = textwrap.fill(f"{what.title}, control period {what.period:g} s.", 98)

@@ -3,7 +3,7 @@
 import textwrap
 from typing import Any, NamedTuple
 
-from jaxstage.c_export.law_graph import STRUCTS, Function, Law, elements, read
+from jaxstage.c_export.law_graph import STRUCTS, Function, LawGraph, elements, read
 from jaxstage.c_export.structs import Member, declare, initialise
 from jaxstage.compiler.c99.emit import statements
 from jaxstage.compiler.c99.ops import number
@@ -44,7 +44,7 @@ class Identity(NamedTuple):
         return f"{self.law}, {axes}, {'single' if self.single else 'double'} precision"
 
 
-def used(law: Law, group: str) -> tuple[Member, ...]:
+def used(law: LawGraph, group: str) -> tuple[Member, ...]:
     """The members of a struct that any function of the law reads; of the memory, all."""
     every: tuple[Member, ...] = getattr(law, group)
     if group == "memory":
@@ -53,13 +53,13 @@ def used(law: Law, group: str) -> tuple[Member, ...]:
     return tuple(member for leaf, member in enumerate(every) if (group, leaf) in heard)
 
 
-def unused(law: Law, group: str) -> tuple[str, ...]:
+def unused(law: LawGraph, group: str) -> tuple[str, ...]:
     """The other members, by name."""
     kept = used(law, group)
     return tuple(m.name for m in getattr(law, group) if m.names not in {k.names for k in kept})
 
 
-def _arguments(law: Law, what: Identity) -> dict[str, list[str]]:
+def _arguments(law: LawGraph, what: Identity) -> dict[str, list[str]]:
     """The parameters of the three functions."""
     p, n = what.prefix, law.axes
     begin = [f"const {p}_gains *gains", f"{p}_memory *memory"]
@@ -72,7 +72,7 @@ def _arguments(law: Law, what: Identity) -> dict[str, list[str]]:
     }
 
 
-def _prototype(law: Law, what: Identity, name: str) -> str:
+def _prototype(law: LawGraph, what: Identity, name: str) -> str:
     line, lines = f"void {what.prefix}_{name}(", []
     for argument in _arguments(law, what)[name]:
         if len(line) + len(argument) > 97:
@@ -82,7 +82,7 @@ def _prototype(law: Law, what: Identity, name: str) -> str:
     return "\n".join([*lines, line.removesuffix(", ")]) + ")"
 
 
-def header(law: Law, what: Identity) -> str:
+def header(law: LawGraph, what: Identity) -> str:
     """The header: structs with units, the functions and when to call them."""
     p = what.prefix
     guard = f"{p.upper()}_H"
@@ -109,7 +109,7 @@ def header(law: Law, what: Identity) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def _calls(law: Law) -> dict[str, str]:
+def _calls(law: LawGraph) -> dict[str, str]:
     calls = {
         "init": "Once, with the first sample, before the first step.",
         "step": "Once a period: the demand of each axis from the sample of this period.",
@@ -122,7 +122,7 @@ def _calls(law: Law) -> dict[str, str]:
     return calls
 
 
-def call_order(law: Law, what: Identity) -> str:
+def call_order(law: LawGraph, what: Identity) -> str:
     """When to call the functions, as lines of C and words."""
     p = what.prefix
     last = f"  {p}_settle(&gains, &memory, demand, command);\n" if law.settle is not None else ""
@@ -133,7 +133,7 @@ def call_order(law: Law, what: Identity) -> str:
     )
 
 
-def _usage(law: Law, what: Identity) -> str:
+def _usage(law: LawGraph, what: Identity) -> str:
     index = "" if law.axes == 1 else " The first index of what belongs to an axis is the axis."
     return (
         f"{what.title}, one call every {what.period:g} s.\n\n{call_order(law, what)}\n"
@@ -151,7 +151,7 @@ def _wrapped(text: str, width: int) -> list[str]:
     return textwrap.wrap(text, width, replace_whitespace=False, drop_whitespace=True)
 
 
-def source(law: Law, what: Identity) -> str:
+def source(law: LawGraph, what: Identity) -> str:
     """The functions. Raises ValueError for an operation that C99 does not have."""
     helpers: dict[str, str] = {}
     bodies = []
@@ -167,7 +167,9 @@ def source(law: Law, what: Identity) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _body(law: Law, name: str, function: Function, what: Identity, helpers: dict[str, str]) -> str:
+def _body(
+    law: LawGraph, name: str, function: Function, what: Identity, helpers: dict[str, str]
+) -> str:
     def array(leaf: int) -> str:
         group, number = function.leaves[leaf]
         return f"{group}->{getattr(law, group)[number].name}" if group in STRUCTS else group
@@ -193,7 +195,7 @@ def _body(law: Law, name: str, function: Function, what: Identity, helpers: dict
     return "\n".join([*ignored, *written.lines])
 
 
-def gains_source(law: Law, what: Identity) -> str:
+def gains_source(law: LawGraph, what: Identity) -> str:
     """The gains as an initialised constant."""
     every, p = used(law, "gains"), what.prefix
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from jaxstage.c_export import export
-from jaxstage.c_export.export import Recorded, c_files
+from jaxstage.c_export.export import RecordedTicks, c_files
 from jaxstage.c_export.law_graph import trace
 from jaxstage.c_export.replay import ARM, BOUND
 from jaxstage.model.fields import replace
@@ -21,7 +21,7 @@ from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.studies import all_studies, build
 from tests.compiler.cortex_m4 import machine
 from tests.helpers.c_driver import SANE, STRICT, drive, identity, law_files, run, written
-from tuning.app import main as cli
+from tuning.app import main
 from tuning.app.export_command import recorded
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler here")
@@ -55,7 +55,7 @@ def swaying(case):
     seen = Measurement(
         position=position, velocity=velocity, drive_position=position, drive_velocity=velocity
     )
-    return Recorded(wanted, seen, np.zeros_like(position), np.zeros_like(position))
+    return RecordedTicks(wanted, seen, np.zeros_like(position), np.zeros_like(position))
 
 
 @functools.cache
@@ -252,7 +252,7 @@ def command(monkeypatch, capsys, tmp_path):
     def call(*words):
         monkeypatch.setattr(sys, "argv", ["jaxstage", "export", *map(str, words)])
         with pytest.raises(SystemExit) as stopped:
-            cli.main()
+            main.main()
         captured = capsys.readouterr()
         return stopped.value.code or 0, captured.out, captured.err
 

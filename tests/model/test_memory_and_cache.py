@@ -6,7 +6,8 @@ import sys
 
 import pytest
 
-from jaxstage.compiler.runtime import toolchain as build
+from jaxstage.compiler.ir.errors import LoweringError
+from jaxstage.compiler.runtime import toolchain
 
 MEMORY = """
 import resource, sys
@@ -88,6 +89,6 @@ def test_a_full_disk_is_a_scan_with_its_reason(monkeypatch):
     def full(*args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(build.os, "replace", full)
-    with pytest.raises(NotImplementedError, match=r"cannot be written: .*No space left"):
-        build.build('// a text of its own\n#define REAL double\n#include "simd.h"\n')
+    monkeypatch.setattr(toolchain.os, "replace", full)
+    with pytest.raises(LoweringError, match=r"cannot be written: .*No space left"):
+        toolchain.build('// a text of its own\n#define REAL double\n#include "simd.h"\n')

@@ -60,7 +60,7 @@ def kernel(
     program: Program, what: str, own: tuple[bool, ...], moving: tuple[int, ...] = ()
 ) -> Kernel:
     """The kernel ``forward``, ``tangent`` or ``pullback``. own: see `lower`; moving: the leaves
-    beside the carry that have derivatives. Raises NotImplementedError with the reason."""
+    beside the carry that have derivatives. Raises LoweringError with the reason."""
     return _MAKERS[what](program, own, moving)
 
 
@@ -197,7 +197,7 @@ def _rows(
     places, counts = {}, {"row": 0, "rowi": 0}
     for number, leaf in enumerate(leaves):
         position = len(program.carry) + number
-        if low.parts.of(low.parts.program.results[position]) != RUN:
+        if low.staged.of(low.staged.program.results[position]) != RUN:
             continue
         real = kind_of(leaf.dtype) == "f"
         name = "row" if real else "rowi"

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxstage.compiler.frontend.lower import Lowered
 from jaxstage.compiler.frontend.step_program import Program
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.node import Node, kind_of
 from jaxstage.compiler.passes.store_forms import COPY, Cells
 
@@ -88,7 +89,7 @@ def cells(where: Layout) -> Cells:
             return f"c{COPY}", where.carry[number][1]
         if group in "dg":
             return f"{group}{COPY}", where.moving[group, number]
-        raise NotImplementedError("an index into parameters that each run has for itself")
+        raise LoweringError("an index into parameters that each run has for itself")
 
     return Cells(read, array, slot)
 

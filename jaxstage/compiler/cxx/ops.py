@@ -2,6 +2,7 @@
 
 import math
 
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.node import LIMITS, Node
 
 _SAME = {
@@ -40,9 +41,9 @@ def number(value: float) -> str:
 
 
 def expression(node: Node, args: list[str], single: bool) -> str:
-    """The operation on named arguments. Raises NotImplementedError where there is no such code."""
+    """The operation on named arguments. Raises LoweringError where there is no such code."""
     if node.kind == "l" and single and not _fits(node):
-        raise NotImplementedError("64-bit integers in single precision")
+        raise LoweringError("64-bit integers in single precision")
     if node.op in _LOGIC and node.kind == "b":
         return f"{_LOGIC[node.op]}({', '.join(args)})"
     if node.op == "select":
@@ -78,7 +79,7 @@ def expression(node: Node, args: list[str], single: bool) -> str:
 
 
 def _refuse(node: Node) -> str:
-    raise NotImplementedError(f"no vector code for '{node.op}'")
+    raise LoweringError(f"no vector code for '{node.op}'")
 
 
 def _fits(node: Node) -> bool:

@@ -15,7 +15,7 @@ from jaxstage.compiler.cxx.translation_unit import Source, holds, text_of
 from jaxstage.compiler.ir.graph import Graph
 from jaxstage.compiler.ir.node import Node, ordered
 from jaxstage.compiler.passes.loop_reroll import kinds
-from jaxstage.compiler.passes.specialize import assuming
+from jaxstage.compiler.passes.specialize import specialize
 from jaxstage.compiler.passes.store_forms import COPY, Cells, Store, guarded, indexed
 
 
@@ -34,7 +34,7 @@ def tape_of(graph: Graph, step: list[Store], back: list[Store], where: Cells) ->
     condition = max(groups, key=len)[0].where if groups else None
     if condition is None:
         return None
-    usual = [assuming(graph, stores, condition) for stores in (step, back)]
+    usual = [specialize(graph, stores, condition) for stores in (step, back)]
     if usual[0] is None or usual[1] is None:
         return None
     tape = Tape(condition, usual[0], usual[1])

@@ -1,4 +1,4 @@
-"""A jaxpr cut into what all runs share, and what each run computes for itself.
+"""Binding-time analysis: a jaxpr cut into what all runs share, and what each run computes for itself.
 
 What depends on shared arrays and the tick alone is the same in every run: JAX computes it once.
 Calls are put in line first, and what nobody reads is left out.
@@ -14,13 +14,13 @@ from jaxstage.compiler.frontend.jax_compat import CALLS, SAME, Literal, called, 
 CONSTANT, FIXED, TICK, RUN = range(4)
 
 
-class Literally(NamedTuple):
+class Immediate(NamedTuple):
     """A number that stands in the program."""
 
     value: Any
 
 
-class Step(NamedTuple):
+class FlatEquation(NamedTuple):
     """An equation; its values are known by their numbers."""
 
     equation: Any
@@ -28,46 +28,46 @@ class Step(NamedTuple):
     writes: tuple[int, ...]
 
 
-class Steps(NamedTuple):
+class FlatJaxpr(NamedTuple):
     """A program: its steps in order, the numbers of arguments and results, and its constants."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[FlatEquation, ...]
     arguments: tuple[int, ...]
     results: tuple[Any, ...]
     constants: dict[int, Any]
 
 
-class Parts(NamedTuple):
+class Staged(NamedTuple):
     """steps, and the level (`CONSTANT` .. `RUN`) of each value."""
 
-    program: Steps
+    program: FlatJaxpr
     level: dict[int, int]
 
     def of(self, value: Any) -> int:
         """The level of a value or literal."""
-        return CONSTANT if isinstance(value, Literally) else self.level[value]
+        return CONSTANT if isinstance(value, Immediate) else self.level[value]
 
-    def shared(self, level: int) -> list[Step]:
+    def shared(self, level: int) -> list[FlatEquation]:
         """The steps of one level."""
         return [s for s in self.program.steps if self._own(s) == level]
 
-    def own(self) -> list[Step]:
+    def per_run(self) -> list[FlatEquation]:
         """The steps that every run takes, and those on constants."""
         return [s for s in self.program.steps if self._own(s) in (CONSTANT, RUN)]
 
-    def _own(self, step: Step) -> int:
+    def _own(self, step: FlatEquation) -> int:
         return max((self.of(v) for v in step.reads), default=CONSTANT)
 
-    def handed(self) -> list[int]:
+    def crossing(self) -> list[int]:
         """Values that all runs share and that the steps of a run, or the results, need."""
-        wanted = [v for s in self.own() for v in s.reads]
+        wanted = [v for s in self.per_run() for v in s.reads]
         wanted += list(self.program.results)
         return sorted({v for v in wanted if self.of(v) in (FIXED, TICK)})
 
 
-def in_line(closed: Any) -> Steps:
+def inline_calls(closed: Any) -> FlatJaxpr:
     """The steps of a closed jaxpr, without calls and without what nobody reads."""
-    steps: list[Step] = []
+    steps: list[FlatEquation] = []
     constants: dict[int, Any] = {}
     known: dict[Any, tuple[int, ...]] = {}
     count = iter(range(1 << 60))
@@ -80,7 +80,7 @@ def in_line(closed: Any) -> Steps:
 
         def read(var: Any) -> Any:
             if isinstance(var, Literal):
-                return Literally(typed(var))
+                return Immediate(typed(var))
             return env[var]
 
         for equation in jaxpr.eqns:
@@ -95,13 +95,13 @@ def in_line(closed: Any) -> Steps:
             key = _key(equation, inputs)
             if key not in known:
                 known[key] = tuple(next(count) for _ in equation.outvars)
-                steps.append(Step(equation, tuple(inputs), known[key]))
+                steps.append(FlatEquation(equation, tuple(inputs), known[key]))
             env.update(zip(equation.outvars, known[key], strict=True))
         return [read(v) for v in jaxpr.outvars]
 
     arguments = [next(count) for _ in closed.jaxpr.invars]
     results = walk(closed.jaxpr, closed.consts, list(arguments))
-    return Steps(_needed(steps, results), tuple(arguments), tuple(results), constants)
+    return FlatJaxpr(_needed(steps, results), tuple(arguments), tuple(results), constants)
 
 
 def _key(equation: Any, reads: list[Any]) -> Any:
@@ -112,13 +112,13 @@ def _key(equation: Any, reads: list[Any]) -> Any:
         return id(equation), object()
     same = [
         (type(v.value).__name__, str(getattr(v.value, "dtype", "")), str(v.value))
-        if isinstance(v, Literally) else v
+        if isinstance(v, Immediate) else v
         for v in reads
     ]  # fmt: skip
     return equation.primitive.name, str(params), tuple(same)
 
 
-def _needed(steps: list[Step], results: list[Any]) -> tuple[Step, ...]:
+def _needed(steps: list[FlatEquation], results: list[Any]) -> tuple[FlatEquation, ...]:
     wanted = {v for v in results if isinstance(v, int)}
     kept = []
     for step in reversed(steps):
@@ -128,7 +128,7 @@ def _needed(steps: list[Step], results: list[Any]) -> tuple[Step, ...]:
     return tuple(reversed(kept))
 
 
-def counters(program: Steps, carry: range) -> tuple[int, ...]:
+def counters(program: FlatJaxpr, carry: range) -> tuple[int, ...]:
     """Numbers of the carried integers that every tick raises by one.
 
     carry: positions of the carry among the arguments; it comes first among the results.
@@ -142,26 +142,26 @@ def counters(program: Steps, carry: range) -> tuple[int, ...]:
             continue
         whole = np.issubdtype(step.equation.outvars[0].aval.dtype, np.integer)
         a, b = step.reads
-        one = isinstance(b, Literally) and np.ndim(b.value) == 0 and b.value == 1
+        one = isinstance(b, Immediate) and np.ndim(b.value) == 0 and b.value == 1
         if whole and one and a == program.arguments[position]:
             found.append(number)
     return tuple(found)
 
 
-def cut(program: Steps, levels: list[int]) -> Parts:
+def binding_times(program: FlatJaxpr, levels: list[int]) -> Staged:
     """The program with the level of every value, from those of its arguments."""
     level = dict(zip(program.arguments, levels, strict=True))
     level |= dict.fromkeys(program.constants, CONSTANT)
     for step in program.steps:
-        top = max((level[v] for v in step.reads if not isinstance(v, Literally)), default=CONSTANT)
+        top = max((level[v] for v in step.reads if not isinstance(v, Immediate)), default=CONSTANT)
         level |= dict.fromkeys(step.writes, top)
-    return Parts(program, level)
+    return Staged(program, level)
 
 
-def run(steps: list[Step], values: dict[int, Any]) -> None:
+def run(steps: list[FlatEquation], values: dict[int, Any]) -> None:
     """Evaluate steps with JAX, adding to the values."""
     for step in steps:
-        reads = [v.value if isinstance(v, Literally) else values[v] for v in step.reads]
+        reads = [v.value if isinstance(v, Immediate) else values[v] for v in step.reads]
         result = step.equation.primitive.bind(*reads, **step.equation.params)
         many = step.equation.primitive.multiple_results
         values.update(zip(step.writes, result if many else [result], strict=True))

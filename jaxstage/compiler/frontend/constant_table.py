@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.graph import Graph
 from jaxstage.compiler.ir.node import Node
 
@@ -11,7 +12,7 @@ from jaxstage.compiler.ir.node import Node
 WRITTEN_OUT = 4096
 
 
-class Table(NamedTuple):
+class ConstantTable(NamedTuple):
     """source: what the nodes `load` name it; kind: of its elements, in C order."""
 
     source: Any
@@ -19,18 +20,18 @@ class Table(NamedTuple):
     kind: str
 
 
-def element(graph: Graph, table: Table, position: int) -> Node:
+def element(graph: Graph, table: ConstantTable, position: int) -> Node:
     """One element at a fixed position."""
     return graph.load(table.source, position, graph.const(0, "i"), table.kind)
 
 
 def cells_of(graph: Graph, value: Any) -> np.ndarray:
-    """The array of nodes; a table is written out. Raises NotImplementedError for a large one."""
-    if not isinstance(value, Table):
+    """The array of nodes; a table is written out. Raises LoweringError for a large one."""
+    if not isinstance(value, ConstantTable):
         return value
     out = np.empty(value.shape, object)
     if out.size > WRITTEN_OUT:
-        raise NotImplementedError(f"arithmetic on a whole table of {out.size} numbers")
+        raise LoweringError(f"arithmetic on a whole table of {out.size} numbers")
     for position, index in enumerate(np.ndindex(*value.shape)):
         out[index] = element(graph, value, position)
     return out

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxstage.compiler.frontend.constant_table import Table
+from jaxstage.compiler.frontend.constant_table import ConstantTable
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.graph import Graph
 from jaxstage.compiler.ir.node import Node
 
@@ -105,12 +106,12 @@ def _read(
 ) -> Node:
     """The element at ``base`` moved by the starts along the dimensions."""
     place = _Place(g, array.shape, starts, tuple(dims), base)
-    if isinstance(array, Table):
+    if isinstance(array, ConstantTable):
         offset, index = flat_index(place)
         return g.load(array.source, offset, index, array.kind)
     reach = [_reached(s, r) for s, r in zip(starts, rooms, strict=True)]
     if math.prod(map(len, reach)) > REACH:
-        raise NotImplementedError(f"an index that can mean {math.prod(map(len, reach))} elements")
+        raise LoweringError(f"an index that can mean {math.prod(map(len, reach))} elements")
     every = [(v, array[_moved(base, place.dims, v)]) for v in itertools.product(*reach)]
     found = look(g, [node for _, node in every], place, [v for v, _ in every])
     return found if found is not None else _selected(g, starts, reach, dict(every))
@@ -286,7 +287,7 @@ def _targets(place: _Place, rooms: list[int]) -> Iterator[tuple[Index, Node]]:
     g = place.graph
     reach = [_reached(s, r) for s, r in zip(place.starts, rooms, strict=True)]
     if math.prod(map(len, reach)) > REACH:
-        raise NotImplementedError(f"an index that can mean {math.prod(map(len, reach))} elements")
+        raise LoweringError(f"an index that can mean {math.prod(map(len, reach))} elements")
     inside = all(s.low >= 0 and s.high < r for s, r in zip(place.starts, rooms, strict=True))
     _, flat = flat_index(place)
     strides = [math.prod(place.shape[d + 1 :]) for d in place.dims]

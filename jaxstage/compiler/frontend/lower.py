@@ -8,15 +8,16 @@ from jaxstage.compiler.frontend.binding_time import (
     FIXED,
     RUN,
     TICK,
-    Parts,
-    Steps,
+    FlatJaxpr,
+    Staged,
+    binding_times,
     counters,
-    cut,
-    in_line,
+    inline_calls,
 )
-from jaxstage.compiler.frontend.constant_table import WRITTEN_OUT, Table
+from jaxstage.compiler.frontend.constant_table import WRITTEN_OUT, ConstantTable
 from jaxstage.compiler.frontend.scalarize import evaluate, lifted
 from jaxstage.compiler.frontend.step_program import Program
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.graph import Graph, new_graph
 from jaxstage.compiler.ir.node import Node, kind_of
 
@@ -27,12 +28,12 @@ TABLE = 64
 class Lowered(NamedTuple):
     """A program as a graph, and what its kernel is to be given.
 
-    graph, results: of a tick. parts: what JAX computes. counter: which carried integers count the
-    ticks. tables: values of `parts` that are read in memory.
+    graph, results: of a tick. staged: what JAX computes. counter: which carried integers count the
+    ticks. tables: values of `staged` that are read in memory.
     """
 
     graph: Graph
-    parts: Parts
+    staged: Staged
     results: list[Any]
     counter: frozenset[int]
     tables: tuple[int, ...]
@@ -43,31 +44,31 @@ def lower(program: Program, closed: Any, own: tuple[bool, ...], groups: tuple[st
     """The graph of a jaxpr whose first arguments are the leaves of the program.
 
     own: of each shared leaf and each carried one, whether runs have it for themselves. groups: the
-    names of further arguments' inputs, one an argument. Raises NotImplementedError with the reason.
+    names of further arguments' inputs, one an argument. Raises LoweringError with the reason.
     """
-    steps = in_line(closed)
-    carry = range(program.before, program.before + len(program.carry))
+    steps = inline_calls(closed)
+    carry = range(program.num_consts, program.num_consts + len(program.carry))
     inputs = len(program.inputs)
     counting = frozenset(n for n in counters(steps, carry) if not own[len(program.shared) + n])
     levels = [RUN] * inputs
     levels += [RUN if own[i] else FIXED for i in range(len(program.shared))]
     levels += [TICK if n in counting else RUN for n in range(len(program.carry))]
     levels += [RUN] * len(groups)
-    parts = cut(steps, levels)
+    staged = binding_times(steps, levels)
     graph = new_graph(program.single, rich=True)
-    values, tables = _inputs(program, graph, parts, groups)
-    for step in parts.own():
+    values, tables = _inputs(program, graph, staged, groups)
+    for step in staged.per_run():
         reads = [_value(graph, values, v) for v in step.reads]
         values.update(zip(step.writes, evaluate(graph, step.equation, reads), strict=True))
     results = [_value(graph, values, v) for v in steps.results]
-    return Lowered(graph, parts, results, counting, tables, program.single)
+    return Lowered(graph, staged, results, counting, tables, program.single)
 
 
 def _value(graph: Graph, values: dict[int, Any], value: Any) -> Any:
     return values[value] if isinstance(value, int) else lifted(graph, value.value)
 
 
-def _shape_of(steps: Steps, leaves: Any) -> dict[int, Any]:
+def _shape_of(steps: FlatJaxpr, leaves: Any) -> dict[int, Any]:
     shapes = dict(zip(steps.arguments, leaves, strict=False))
     for step in steps.steps:
         shapes.update((w, v.aval) for w, v in zip(step.writes, step.equation.outvars, strict=True))
@@ -75,20 +76,20 @@ def _shape_of(steps: Steps, leaves: Any) -> dict[int, Any]:
 
 
 def _inputs(
-    program: Program, graph: Graph, parts: Parts, groups: tuple[str, ...]
+    program: Program, graph: Graph, staged: Staged, groups: tuple[str, ...]
 ) -> tuple[dict[int, Any], tuple[int, ...]]:
-    steps, leaves = parts.program, program.leaves
+    steps, leaves = staged.program, program.leaves
     values: dict[int, Any] = {n: lifted(graph, v) for n, v in steps.constants.items()}
-    read = {v for step in parts.own() for v in step.reads if isinstance(v, int)}
+    read = {v for step in staged.per_run() for v in step.reads if isinstance(v, int)}
     read |= {v for v in steps.results if isinstance(v, int)}
     for number, leaf in enumerate(leaves):
         value = steps.arguments[number]
-        if parts.of(value) == RUN and value in read:
+        if staged.of(value) == RUN and value in read:
             if leaf.size > WRITTEN_OUT:
-                raise NotImplementedError(
+                raise LoweringError(
                     f"an array of {leaf.size} numbers that each run has for itself (a stored path)"
                 )
-            carried = number - program.before
+            carried = number - program.num_consts
             group = ("c", carried) if carried >= 0 else ("p", number)
             promised = carried >= 0 and program.finite
             values[value] = _array(graph, group, leaf, promised)
@@ -98,13 +99,15 @@ def _inputs(
         leaf = leaves[number] if name == "q" else program.carry[number]
         values[value] = _array(graph, (name, number), leaf, False)
     shapes, tables = _shape_of(steps, leaves), []
-    for value in parts.handed():
+    for value in staged.crossing():
         shape = shapes[value]
-        if parts.of(value) == FIXED and int(np.prod(shape.shape)) > TABLE:
-            values[value] = Table(("t", len(tables)), tuple(shape.shape), kind_of(shape.dtype))
+        if staged.of(value) == FIXED and int(np.prod(shape.shape)) > TABLE:
+            values[value] = ConstantTable(
+                ("t", len(tables)), tuple(shape.shape), kind_of(shape.dtype)
+            )
             tables.append(value)
         else:
-            group = "s" if parts.of(value) == FIXED else "r"
+            group = "s" if staged.of(value) == FIXED else "r"
             values[value] = _array(graph, (group, value), shape, False)
     return values, tuple(tables)
 
@@ -115,7 +118,7 @@ def _array(graph: Graph, group: Any, leaf: Any, finite: bool) -> np.ndarray:
     if kind == "k":
         return out
     if kind == "l" and group[0] in "cp":
-        raise NotImplementedError("64-bit integers that each run has for itself")
+        raise LoweringError("64-bit integers that each run has for itself")
     _check_width(leaf.dtype, graph)
     for number, index in enumerate(np.ndindex(*leaf.shape)):
         out[index] = graph.input(group, number, kind, finite)
@@ -125,7 +128,7 @@ def _array(graph: Graph, group: Any, leaf: Any, finite: bool) -> np.ndarray:
 def _check_width(dtype: Any, graph: Graph) -> None:
     width = 4 if graph.largest < 1e39 else 8
     if np.issubdtype(dtype, np.floating) and np.dtype(dtype).itemsize != width:
-        raise NotImplementedError(f"{np.dtype(dtype).name} beside reals of {8 * width} bits")
+        raise LoweringError(f"{np.dtype(dtype).name} beside reals of {8 * width} bits")
 
 
 def flat(array: np.ndarray) -> list[Node]:

@@ -11,7 +11,7 @@ For any function of pytrees::
 
 Loops of fixed length are unrolled, branches become selections, an index that is known only at run
 time selects among the elements it can reach (its range is tracked: clip before casting). What
-cannot be put so raises NotImplementedError with the reason.
+cannot be put so raises LoweringError with the reason.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.compiler.frontend.constant_table import Table, cells_of
+from jaxstage.compiler.frontend.constant_table import ConstantTable, cells_of
 from jaxstage.compiler.frontend.gather_scatter import Lookup, gather, scatter, slice_at, update_at
 from jaxstage.compiler.frontend.inner_loop import (
     Inner,
@@ -33,7 +33,8 @@ from jaxstage.compiler.frontend.inner_loop import (
 )
 from jaxstage.compiler.frontend.jax_compat import CALLS, SAME, Literal, called, scan_parts, typed
 from jaxstage.compiler.frontend.reductions import REDUCTIONS, dot, elementwise
-from jaxstage.compiler.frontend.shape_ops import MOVES
+from jaxstage.compiler.frontend.shape_ops import SHAPE_OPS
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.graph import Graph, new_graph
 from jaxstage.compiler.ir.node import FUNCTIONS, Node, kind_of
 
@@ -54,7 +55,7 @@ class Traced(NamedTuple):
 def scalar_graph(function: Callable[..., Any], *examples: Any, single: bool = False) -> Traced:
     """Trace ``function(*examples)`` into scalar operations. single: its reals are float32.
 
-    Raises NotImplementedError where the function cannot be written so.
+    Raises LoweringError where the function cannot be written so.
     """
     leaves, structure = jax.tree.flatten(examples)
     leaves = [x if hasattr(x, "dtype") else jnp.asarray(x) for x in leaves]
@@ -87,7 +88,7 @@ def cells(tree: Any) -> list[Node]:
 
 
 def scalarise(graph: Graph, jaxpr: Any, consts: Any, args: list[Any]) -> list[Any]:
-    """Evaluate a jaxpr on object arrays of nodes (or `Table`s)."""
+    """Evaluate a jaxpr on object arrays of nodes (or `ConstantTable`s)."""
     env: dict[Any, Any] = {}
 
     def read(var: Any) -> Any:
@@ -106,7 +107,9 @@ def scalarise(graph: Graph, jaxpr: Any, consts: Any, args: list[Any]) -> list[An
 
 def lifted(graph: Graph, value: Any) -> Any:
     """A concrete array as constants."""
-    if isinstance(value, Table) or (isinstance(value, np.ndarray) and value.dtype == object):
+    if isinstance(value, ConstantTable) or (
+        isinstance(value, np.ndarray) and value.dtype == object
+    ):
         return value
     value = np.asarray(value)
     kind = kind_of(value.dtype)
@@ -117,7 +120,7 @@ def lifted(graph: Graph, value: Any) -> Any:
 
 
 def evaluate(graph: Graph, equation: Any, args: list[Any]) -> list[Any]:
-    """One equation on arrays of nodes. Raises NotImplementedError naming the primitive."""
+    """One equation on arrays of nodes. Raises LoweringError naming the primitive."""
     name, params = equation.primitive.name, equation.params
     if name in CALLS:
         if _is_floor_division(params.get("name", ""), args):
@@ -132,18 +135,18 @@ def evaluate(graph: Graph, equation: Any, args: list[Any]) -> list[Any]:
     args = [cells_of(graph, a) for a in args]
     if name in _STRUCTURED:
         return _STRUCTURED[name](graph, equation, args)
-    if name in MOVES:
-        result = MOVES[name](args, params)
+    if name in SHAPE_OPS:
+        result = SHAPE_OPS[name](args, params)
         return result if isinstance(result, list) else [result]
     kinds = [kind_of(v.aval.dtype) for v in equation.outvars]
     if "k" in kinds:
-        raise NotImplementedError(f"random numbers (primitive '{name}')")
+        raise LoweringError(f"random numbers (primitive '{name}')")
     if name in SAME:
         return args
     if name in _ELEMENTWISE:
         make = _ELEMENTWISE[name]
         return [elementwise(lambda *x: make(graph, kinds[0], params, *x), *args)]
-    raise NotImplementedError(f"primitive '{name}'")
+    raise LoweringError(f"primitive '{name}'")
 
 
 # --- elementwise -----------------------------------------------------------------------------
@@ -186,7 +189,7 @@ def _shift_right(g: Graph, kind: str, params: Any, x: Node, by: Node) -> Node:
     if x.kind == "u" or x.low >= 0:
         return g.op("shr", x, by, kind=x.kind)
     if by.op != "const":
-        raise NotImplementedError("an arithmetic shift by a varying number")
+        raise LoweringError("an arithmetic shift by a varying number")
     divisor = g.const(1 << by.value, x.kind)
     down = g.op("sub", x, g.const((1 << by.value) - 1, x.kind))
     return g.op("div", g.op("select", g.op("lt", x, g.const(0, x.kind)), down, x), divisor)
@@ -219,7 +222,7 @@ def _scan(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
     params = equation.params
     length, body = params["length"], params["jaxpr"]
     if not g.rich and (length > UNROLL or length * len(body.jaxpr.eqns) > EQUATIONS):
-        raise NotImplementedError(f"an inner loop of {length} rounds")
+        raise LoweringError(f"an inner loop of {length} rounds")
     constants, carried = scan_parts(equation)
     fixed = args[:constants]
     carry, xs = (
@@ -292,7 +295,7 @@ def _floor_quotient(g: Graph, x: Node, y: Node) -> Node:
 
 
 def _is_floor_division(name: str, args: list[Any]) -> bool:
-    if name != "floor_divide" or any(isinstance(a, Table) or not a.size for a in args):
+    if name != "floor_divide" or any(isinstance(a, ConstantTable) or not a.size for a in args):
         return False
     divisors = args[1].reshape(-1)
     return all(y.op == "const" and y.kind in "iul" and y.value > 0 for y in divisors)

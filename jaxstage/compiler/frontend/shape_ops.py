@@ -46,7 +46,7 @@ def _unstack(args: list[Any], params: dict[str, Any]) -> list[np.ndarray]:
     return [rows[i : i + 1].reshape(rows.shape[1:]) for i in range(len(rows))]
 
 
-MOVES: dict[str, Callable[[list[Any], dict[str, Any]], Any]] = {
+SHAPE_OPS: dict[str, Callable[[list[Any], dict[str, Any]], Any]] = {
     "broadcast_in_dim": _broadcast,
     "reshape": lambda args, p: args[0].reshape(p["new_sizes"]),
     "transpose": lambda args, p: args[0].transpose(p["permutation"]),

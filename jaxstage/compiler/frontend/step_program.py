@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.numerics.segmented_scan import segmented
 
 Leaves = tuple[jax.ShapeDtypeStruct, ...]
@@ -39,7 +40,7 @@ class Program:
         return (*self.inputs, *self.shared, *self.carry)
 
     @property
-    def before(self) -> int:
+    def num_consts(self) -> int:
         """Arguments that stand before the carry."""
         return len(self.inputs) + len(self.shared)
 
@@ -75,7 +76,7 @@ def _applied(program: Program, *leaves: Any) -> tuple[Any, Any]:
     values = list(leaves)
     for number, implementation in program.keys:
         values[number] = jax.random.wrap_key_data(values[number], impl=implementation)
-    a, b = len(program.inputs), program.before
+    a, b = len(program.inputs), program.num_consts
     parts = values[:a], values[a:b], values[b:]
     trees = (jax.tree.unflatten(s, p) for s, p in zip(program.structures, parts, strict=True))
     return program.step(program.static, *trees)
@@ -106,13 +107,21 @@ def _moved(
     for number, value in zip(moving, values, strict=True):
         merged[number] = value
     for number, value in zip(program.real_carry, carry, strict=True):
-        merged[program.before + number] = value
+        merged[program.num_consts + number] = value
     after = tick(program, *merged)[: len(program.carry)]
     return [after[i] for i in program.real_carry], after
 
 
 def _split(program: Program, moving: tuple[int, ...], leaves: Any) -> tuple[list[Any], list[Any]]:
-    return [leaves[i] for i in moving], [leaves[program.before + i] for i in program.real_carry]
+    return [leaves[i] for i in moving], [leaves[program.num_consts + i] for i in program.real_carry]
+
+
+def _derivative(function: Callable[..., Any], *args: Any) -> Any:
+    """A derivative as a jaxpr. Raises LoweringError where JAX has none."""
+    try:
+        return jax.make_jaxpr(function)(*args)
+    except (NotImplementedError, ValueError) as reason:
+        raise LoweringError(str(reason).partition("\n")[0]) from reason
 
 
 @functools.cache
@@ -130,7 +139,7 @@ def tangent_jaxpr(program: Program, moving: tuple[int, ...]) -> Any:
         return after, moved
 
     leaves = list(program.leaves)
-    return jax.make_jaxpr(push)(leaves, *_split(program, moving, leaves))
+    return _derivative(push, leaves, *_split(program, moving, leaves))
 
 
 @functools.cache
@@ -146,7 +155,7 @@ def pullback_jaxpr(program: Program, moving: tuple[int, ...]) -> Any:
         return after, back(cotangents)
 
     leaves = list(program.leaves)
-    return jax.make_jaxpr(pull)(leaves, _split(program, moving, leaves)[1])
+    return _derivative(pull, leaves, _split(program, moving, leaves)[1])
 
 
 # --- the definition of truth -------------------------------------------------------------------
@@ -154,14 +163,14 @@ def pullback_jaxpr(program: Program, moving: tuple[int, ...]) -> Any:
 
 def scan(program: Program, ticks: int, leaves: Any) -> list[Any]:
     """`ticks` control periods of one run by ``lax.scan``: leaves of the carry, then of the rows."""
-    fixed = list(leaves[: program.before])
+    fixed = list(leaves[: program.num_consts])
     count = len(program.carry)
 
     def step(carry: Any, _: Any) -> Any:
         out = tick(program, *fixed, *carry)
         return out[:count], out[count:]
 
-    carry, rows = segmented(step, list(leaves[program.before :]), ticks, program.segment)
+    carry, rows = segmented(step, list(leaves[program.num_consts :]), ticks, program.segment)
     return [*carry, *rows]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.key_types import is_key_type
 
 FUNCTIONS = frozenset(
@@ -60,12 +61,12 @@ _KINDS = {
 
 
 def kind_of(dtype: Any) -> str:
-    """The kind of nodes that hold a type. Raises NotImplementedError for one that has none."""
+    """The kind of nodes that hold a type. Raises LoweringError for one that has none."""
     if is_key_type(dtype):
         return "k"
     name = np.dtype(dtype).name
     if name not in _KINDS:
-        raise NotImplementedError(f"values of type {name}")
+        raise LoweringError(f"values of type {name}")
     return _KINDS[name]
 
 

@@ -5,7 +5,7 @@ from jaxstage.compiler.ir.node import Node, ordered
 from jaxstage.compiler.passes.store_forms import Store, conjuncts
 
 
-def assuming(graph: Graph, stores: list[Store], condition: Node) -> list[Store] | None:
+def specialize(graph: Graph, stores: list[Store], condition: Node) -> list[Store] | None:
     """The stores where the condition holds; None where they hold inner loops, which stay as they
     are."""
     nodes = ordered(n for s in stores for n in s.needs)

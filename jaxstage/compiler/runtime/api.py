@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from jaxstage.compiler.cxx.kernels import kernel
 from jaxstage.compiler.frontend.step_program import Program, is_real, row_structure, scan
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.key_types import is_key_type
 from jaxstage.compiler.runtime.jax_primitives import has_derivative, owned, rollout_p
 from jaxstage.compiler.runtime.toolchain import build, compiler
@@ -67,7 +68,7 @@ def refusal(program: Program, batched: tuple[bool, ...] = ()) -> str | None:
         return "no C++ compiler (g++ or clang++) was found"
     try:
         kernel(program, "forward", owned(program, batched or (False,) * len(program.leaves)))
-    except NotImplementedError as reason:
+    except LoweringError as reason:
         return str(reason)
     return None
 
@@ -98,6 +99,6 @@ def describe(program: Program, what: str) -> Report:
         made = kernel(program, what, own, moving)
         found = time.perf_counter() - begin
         built = build(made.text(1))
-    except NotImplementedError as reason:
+    except LoweringError as reason:
         return Report(what, str(reason))
     return Report(what, None, made.nodes, built.bytes, built.seconds, found, built.cached)

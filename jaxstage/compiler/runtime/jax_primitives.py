@@ -33,6 +33,7 @@ from jaxstage.compiler.frontend.step_program import (
     row_structure,
     scan,
 )
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.runtime import launch
 from jaxstage.compiler.runtime.toolchain import build
 
@@ -54,7 +55,7 @@ def ready(
     try:
         made = kernel(program, what, own, moving)
         build(made.text(vectors))
-    except NotImplementedError as reason:
+    except LoweringError as reason:
         return str(reason)
     return made
 
@@ -130,13 +131,13 @@ def _differentiated(reference: Any, args: Any, tangents: Any, params: Any) -> An
 
 def _positions(program: Program, moving: tuple[int, ...]) -> list[int]:
     """The leaves that have tangents: moving ones, then the real carry."""
-    return [*moving, *(program.before + i for i in program.real_carry)]
+    return [*moving, *(program.num_consts + i for i in program.real_carry)]
 
 
 def _jvp(args: Any, tangents: Any, *, program: Program, batched: Any, size: int, ticks: int) -> Any:
     params = {"program": program, "batched": batched, "size": size, "ticks": ticks}
     given = [i for i, t in enumerate(tangents) if type(t) is not Zero]
-    moving = tuple(i for i in given if i < program.before)
+    moving = tuple(i for i in given if i < program.num_consts)
     if not has_derivative(program, batched, moving):
         return _differentiated(_reference, args, tangents, params)
     out = rollout_p.bind(*args, **params)

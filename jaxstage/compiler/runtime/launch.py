@@ -64,13 +64,13 @@ def call(
     program: Program, kernel: Kernel, batched: tuple[bool, ...], runs: int, ticks: int, args: Any
 ) -> Call:
     """A call, with what JAX computes once for all runs and ticks."""
-    parts = kernel.lowered.parts
-    values = dict(parts.program.constants)
-    for number, value in enumerate(parts.program.arguments[: len(program.leaves)]):
-        if parts.of(value) == FIXED:
+    staged = kernel.lowered.staged
+    values = dict(staged.program.constants)
+    for number, value in enumerate(staged.program.arguments[: len(program.leaves)]):
+        if staged.of(value) == FIXED:
             values[value] = args[number]
-    run([s for s in parts.shared(CONSTANT) if s.reads or s.writes], values)
-    run(parts.shared(FIXED), values)
+    run([s for s in staged.shared(CONSTANT) if s.reads or s.writes], values)
+    run(staged.shared(FIXED), values)
     return Call(program, kernel, batched, runs, ticks, tuple(args), values)
 
 
@@ -137,10 +137,10 @@ def at_tick(call: Call, ahead: Any) -> dict[int, Any]:
     program, low = call.program, call.kernel.lowered
     values = dict(call.fixed)
     for number in low.counter:
-        position = program.before + number
+        position = program.num_consts + number
         start = call.args[position]
-        values[low.parts.program.arguments[position]] = start + jnp.asarray(ahead, start.dtype)
-    run(low.parts.shared(TICK), values)
+        values[low.staged.program.arguments[position]] = start + jnp.asarray(ahead, start.dtype)
+    run(low.staged.shared(TICK), values)
     return values
 
 
@@ -174,7 +174,7 @@ def carry(call: Call) -> tuple[Array, Array]:
     """C and CI."""
     program, out = call.program, {True: [], False: []}
     for number, (real, _) in call.kernel.layout.carry.items():
-        position = program.before + number
+        position = program.num_consts + number
         dtype = call.real if real else np.int32
         out[real].append(in_lanes(call, call.args[position], call.batched[position], dtype))
     return (
@@ -333,7 +333,7 @@ def after(call: Call, state: Any) -> list[Array]:
         leaves = unpack(call, rows, [program.carry[n] for n in numbers])
         found.update(zip(numbers, leaves, strict=True))
     for number in kernel.lowered.counter:
-        start = call.args[program.before + number]
+        start = call.args[program.num_consts + number]
         found[number] = jnp.broadcast_to(start + jnp.asarray(call.ticks, start.dtype), (call.runs,))
     return [found[n] for n in range(len(program.carry))]
 
@@ -349,7 +349,7 @@ def stored(call: Call, rows: Any) -> list[Array]:
             part = rows[0 if real else 1][:, first : first + math.prod(leaf.shape), : call.runs]
             out.append(_back(jnp.moveaxis(part, -1, 0).reshape(shape), leaf.dtype))
             continue
-        value = low.parts.program.results[len(program.carry) + number]
+        value = low.staged.program.results[len(program.carry) + number]
         every = jax.vmap(lambda k, v=value: jnp.asarray(at_tick(call, k)[v], leaf.dtype))(  # noqa: B023
             jnp.arange(call.ticks, dtype=jnp.int32)
         )

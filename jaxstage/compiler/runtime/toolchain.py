@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax
 import jaxlib.version
 
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.system.runtime import cache_folder
 
 HEADER = Path(__file__).parents[1] / "cxx" / "simd.h"
@@ -91,11 +92,11 @@ def library_file(text: str) -> Path:
 def build(text: str) -> Built:
     """Compile a kernel, or take it from the cache, and make it known to XLA.
 
-    Raises NotImplementedError without a compiler, when it fails, and without space for the library.
+    Raises LoweringError without a compiler, when it fails, and without space for the library.
     """
     program = compiler()
     if program is None:
-        raise NotImplementedError("no C++ compiler (g++ or clang++) was found")
+        raise LoweringError("no C++ compiler (g++ or clang++) was found")
     file = library_file(text)
     begin, cached = time.perf_counter(), True
     library = _opened(file)
@@ -104,10 +105,10 @@ def build(text: str) -> Built:
         try:
             _compile(program, text, file)
         except OSError as error:
-            raise NotImplementedError(f"{file.parent} cannot be written: {error}") from error
+            raise LoweringError(f"{file.parent} cannot be written: {error}") from error
         library = _opened(file)
     if library is None:
-        raise NotImplementedError(f"the kernel {file} cannot be loaded")
+        raise LoweringError(f"the kernel {file} cannot be loaded")
     target = f"jaxstage_{file.stem}"
     jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(library.kernel), platform="cpu")
     seconds = 0.0 if cached else time.perf_counter() - begin
@@ -138,7 +139,7 @@ def _compile(program: str, text: str, file: Path) -> None:
             done = _run([*command, "-lm"])
         if done.returncode:
             first = next((x for x in done.stderr.splitlines() if "error" in x), "no message")
-            raise NotImplementedError(f"{Path(program).name} failed: {first.strip()[:200]}")
+            raise LoweringError(f"{Path(program).name} failed: {first.strip()[:200]}")
         os.replace(made, file)
 
 

@@ -9,10 +9,10 @@ import jaxstage as js
 from benchmarks.agreement import spread
 from jaxstage.compiler.cxx.kernels import kernel
 from jaxstage.compiler.frontend.step_program import is_real
-from jaxstage.compiler.runtime import jax_primitives as primitives
+from jaxstage.compiler.runtime import jax_primitives
 from jaxstage.model.blocks import compiled, scan
 from jaxstage.model.fields import replace
-from tests.helpers.engine_cases import TICKS, case, close, many, program, run, shared_by_all
+from tests.helpers.compiled_cases import TICKS, case, close, many, program, run, shared_by_all
 
 
 @pytest.mark.fast
@@ -29,7 +29,9 @@ def test_gradients_through_rollouts_have_kernels(monkeypatch):
     """Inside a sharded call, where the kernel of this loop is made, JAX adds its own primitives."""
     c = case("pi-circle")
     gains = spread(c.gains, 2)
-    monkeypatch.setattr(primitives, "_pullback_reference", lambda *a, **more: pytest.fail("a scan"))
+    monkeypatch.setattr(
+        jax_primitives, "_pullback_reference", lambda *a, **more: pytest.fail("a scan")
+    )
 
     def error(gains):
         loop = replace(c.loop, engine=compiled)

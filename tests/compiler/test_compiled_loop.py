@@ -15,14 +15,13 @@ from jax import lax
 import jaxstage as js
 from benchmarks.agreement import distinct, moved, spread
 from jaxstage.compiler.cxx.kernels import kernel
-from jaxstage.compiler.runtime import api as engine_loop
-from jaxstage.compiler.runtime import toolchain as building
+from jaxstage.compiler.runtime import api, toolchain
 from jaxstage.hardware.sensors import Noisy, ideal_sensor, noisy
 from jaxstage.metrics import high_frequency, tracking
 from jaxstage.model.blocks import compiled, scan
 from jaxstage.model.fields import replace
 from jaxstage.simulate.rollout import start
-from tests.helpers.engine_cases import TICKS, case, close, many, program, run, shared_by_all
+from tests.helpers.compiled_cases import TICKS, case, close, many, program, run, shared_by_all
 
 ROOT = Path(__file__).parents[2]
 #: one loop of each machine with each kind of law, coupled, with sensors, delays and observers
@@ -40,7 +39,7 @@ def test_compiled_equals_scan(name):
     ticks = 8 if name.startswith(("sliding", "smc1500")) else TICKS
     expected, found = (many(c, e, gains, ticks=ticks) for e in (scan, compiled))
     close(moved(expected), moved(found), 1e-12)
-    assert engine_loop.refusal(program(c)) is None
+    assert api.refusal(program(c)) is None
 
 
 def test_compiled_is_the_scan_where_no_operation_is_contracted():
@@ -87,7 +86,7 @@ def test_long_arrays_are_loops_in_the_kernel():
 def test_every_published_loop_is_compiled():
     refused = {}
     for name, c in distinct().items():
-        reason = engine_loop.refusal(program(c))
+        reason = api.refusal(program(c))
         if reason is not None:
             refused[name] = reason
     assert not refused
@@ -148,9 +147,9 @@ def test_elementary_functions_are_accurate_and_keep_nan(dtype, ulps):
 
     def one(x):
         start = jnp.zeros(19, dtype)
-        program, leaves = engine_loop.program_of(step, None, x, (), start)
-        assert engine_loop.refusal(program) is None
-        return engine_loop.rollout(program, leaves, 1)[0]
+        program, leaves = api.program_of(step, None, x, (), start)
+        assert api.refusal(program) is None
+        return api.rollout(program, leaves, 1)[0]
 
     found = np.asarray(jax.jit(jax.vmap(one))(x), float)
     wanted = np.asarray(jax.vmap(elementary)(x.astype(jnp.float64)), float)
@@ -200,7 +199,7 @@ def test_paths_of_their_own_fall_back_with_a_reason():
     paths = jax.tree.map(lambda x: jnp.stack([x, x]), c.path)
     one = program(c)
     flags = [False] * len(one.inputs) + [True] * len(one.shared) + [False] * len(one.carry)
-    assert "each run has for itself" in str(engine_loop.refusal(one, tuple(flags)))
+    assert "each run has for itself" in str(api.refusal(one, tuple(flags)))
     loop = replace(c.loop, engine=compiled)
     both = jax.vmap(lambda p: js.simulate(loop, c.gains, c.scenario, p, 5).report.ate)(paths)
     np.testing.assert_allclose(both, run(c, scan, c.gains, ticks=5).report.ate, rtol=1e-12)
@@ -213,7 +212,7 @@ def test_random_noise_is_a_scan_with_its_reason():
         loop=replace(c.loop, sensor=noisy(ideal_sensor)),
         scenario=replace(c.scenario, sensor=shaken),
     )
-    assert "random" in str(engine_loop.refusal(program(noise)))
+    assert "random" in str(api.refusal(program(noise)))
 
 
 @functools.cache
@@ -241,12 +240,12 @@ def test_a_law_that_cannot_be_compiled_runs_and_says_why(how):
 
 
 def test_without_a_compiler_everything_works(monkeypatch):
-    monkeypatch.setattr(engine_loop, "compiler", lambda: None)
+    monkeypatch.setattr(api, "compiler", lambda: None)
     c = case("cascade-circle")
     # its length is its own, so that no compiled program of another test is met
     found, expected = (run(c, e, c.gains, ticks=TICKS + 1) for e in (compiled, scan))
     close(expected.final, found.final, 0)
-    assert "compiler" in str(engine_loop.refusal(program(c)))
+    assert "compiler" in str(api.refusal(program(c)))
 
 
 # --- the cache -------------------------------------------------------------------------------
@@ -256,10 +255,10 @@ def test_a_kernel_is_built_once_and_a_damaged_one_again():
     one = program(case("cascade-circle"))
     text = kernel(one, "forward", shared_by_all(one)).text(1)
     text += "// another file\n"
-    file = building.library_file(text)
+    file = toolchain.library_file(text)
     file.write_bytes(b"not a library")
-    assert not building.build.__wrapped__(text).cached
-    assert building.build.__wrapped__(text).cached
+    assert not toolchain.build.__wrapped__(text).cached
+    assert toolchain.build.__wrapped__(text).cached
     assert not [x for x in file.parent.iterdir() if x.suffix not in ("", ".so")]
 
 

@@ -12,6 +12,7 @@ from jax import lax
 
 from jaxstage.c_export.law_graph import trace
 from jaxstage.c_export.source_files import source
+from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.model.blocks import Controller
 from jaxstage.model.fields import pytree, replace, signal
 from jaxstage.model.signals import Measurement, Setpoint
@@ -220,5 +221,5 @@ def test_what_has_no_c_text_is_refused_with_its_reason():
     with pytest.raises(ValueError, match="'erf_inv' has no C text"):
         source(trace(law, (), *sample, 1e-3, "A"), identity(law, 2))
     law = a_law(lambda a, b: lax.while_loop(lambda x: x[0] < 9, lambda x: x * 2, a))
-    with pytest.raises(NotImplementedError, match="while"):
+    with pytest.raises(LoweringError, match="while"):
         trace(law, (), *sample, 1e-3, "A")
