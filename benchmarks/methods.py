@@ -21,11 +21,11 @@ from tuning.tuner.problem.problem import Problem, evaluate, make_problem
 from tuning.tuner.problem.run_group import make_group
 from tuning.tuner.problem.search_space import Search, search_space
 from tuning.tuner.search.cma_es import cma_es
-from tuning.tuner.search.cost_model import Prices, measure_prices
+from tuning.tuner.search.cost_model import CostModel, measure_cost_model
 from tuning.tuner.search.first_order import first_order
 from tuning.tuner.search.lbfgs import lbfgs
 from tuning.tuner.search.levenberg_marquardt import levenberg_marquardt
-from tuning.tuner.search.optimise import Tuned, tune
+from tuning.tuner.search.optimise import SearchResult, tune
 from tuning.tuner.search.random_search import random_search
 from tuning.uncertainty.case_table import with_values
 from tuning.uncertainty.scenario_blocks import with_blocks
@@ -45,9 +45,10 @@ def searches(few: bool) -> tuple[Search, ...]:
     """15 parameters: the axes' gains and the scales; or 158: all consequents, scales, learning and
     the axes' gains, each alike on all axes."""
     boxes = {
-        "rules.proportional": (1.0, 4000.0), "rules.integral": (1.0, 20000.0),
+        "rules.proportional": (1.0, 4000.0),
+        "rules.integral": (1.0, 20000.0),
         "rules.derivative": (0.01, 40.0),
-    }  # fmt: skip
+    }
     axes = tuple(Search(name, tied=not few) for name in AXES)
     scales = tuple(map(Search, SCALES))
     if few:
@@ -61,9 +62,11 @@ def stage(duration: float) -> js.Case:
     timing = js.replace(js.find(LOOP).timing, duration=duration)
     case = with_blocks(js.find(LOOP).build(timing), {"sensor": "noisy_encoder"})
     real = {
-        "drive.lag": 1e-3, "sensor.sensor.resolution": 1e-7, "sensor.sensor.bandwidth": 1e3,
+        "drive.lag": 1e-3,
+        "sensor.sensor.resolution": 1e-7,
+        "sensor.sensor.bandwidth": 1e3,
         "sensor.noise": 2e-8,
-    }  # fmt: skip
+    }
     return with_values(case, real)
 
 
@@ -77,23 +80,24 @@ def reseeded(problem: Problem, case: js.Case, seed: int, runs: int) -> Problem:
     """The problem on the plants of another seed; the compiled programs stay."""
     group = training(case, seed, runs)
     fresh = problem._replace(
-        groups=(group,), data=((group.batch.scenario, group.batch.path),),
+        groups=(group,),
+        data=((group.batch.scenario, group.batch.path),),
         scales=np.ones(len(TERMS)),
-    )  # fmt: skip
+    )
     first = evaluate(fresh, problem.space.start()[None])
     scales = [math.sqrt(np.mean(first.columns[t.column] ** 2)) for t in TERMS]
     fresh = fresh._replace(scales=np.array(scales))
     return fresh._replace(before=evaluate(fresh, problem.space.start()[None]))
 
 
-def units_to(found: Tuned, target: float) -> float:
+def units_to(found: SearchResult, target: float) -> float:
     """Units after which the best is at most ``target``, inf if it never is."""
-    return next((p.units for p in found.history if p.best <= target), math.inf)
+    return next((p.simulations for p in found.history if p.best <= target), math.inf)
 
 
-def best_at(found: Tuned, units: float) -> float:
+def best_at(found: SearchResult, simulations: float) -> float:
     """The best after so many units."""
-    return min((p.best for p in found.history if p.units <= units), default=math.inf)
+    return min((p.best for p in found.history if p.simulations <= simulations), default=math.inf)
 
 
 def compare(
@@ -101,19 +105,20 @@ def compare(
 ) -> dict[str, Any]:
     """All methods on all seeds; without the ``others`` only CMA-ES and the gradient method."""
     case = stage(duration)
-    problem = make_problem(
-        search_space(case, searches(few)), (training(case, 0, runs),), TERMS
-    )  # fmt: skip
+    problem = make_problem(search_space(case, searches(few)), (training(case, 0, runs),), TERMS)
     own, needs = (levenberg_marquardt(), "curvatures") if few else (lbfgs(), "slopes")
-    prices = measure_prices(problem, needs)
-    print(f"n = {problem.space.size}, {prices}", flush=True)
+    cost_model = measure_cost_model(problem, needs)
+    print(f"n = {problem.space.size}, {cost_model}", flush=True)
     if few and others:
-        gradient = measure_prices(problem, "slopes").gradient
-        prices = Prices(gradient, prices.curvature, prices.unit_s)
+        gradient = measure_cost_model(problem, "slopes").gradient
+        cost_model = CostModel(gradient, cost_model.curvature, cost_model.simulation_s)
     share = 3 if few else 10
     methods: dict[str, Callable[[], Any]] = {
-        own.name: lambda: own, "cma": cma_es, "random": random_search, "adam": first_order,
-    }  # fmt: skip
+        own.name: lambda: own,
+        "cma": cma_es,
+        "random": random_search,
+        "adam": first_order,
+    }
     if not others:
         methods = {name: methods[name] for name in (own.name, "cma")}
     rows = []
@@ -123,32 +128,45 @@ def compare(
         for name, make in methods.items():
             spent = budget if name in ("cma", "random") else budget / share * 2
             begin = time.perf_counter()
-            found[name] = tune(own_problem, make(), seed=seed, budget=spent, prices=prices)
-            print(f"  seed {seed} {name}: {found[name].after:.4f} after {found[name].units:.0f} "
-                  f"units, {time.perf_counter() - begin:.0f} s", flush=True)  # fmt: skip
+            found[name] = tune(own_problem, make(), seed=seed, budget=spent, cost_model=cost_model)
+            print(
+                f"  seed {seed} {name}: {found[name].after:.4f} after {found[name].units:.0f} "
+                f"units, {time.perf_counter() - begin:.0f} s",
+                flush=True,
+            )
         target = found["cma"].after
         rows.append(
             {
-                "seed": seed, "target": target, "own": units_to(found[own.name], target),
-                **{f"{name} at {at:g}": best_at(result, at)
-                   for name, result in found.items() for at in (budget / share, budget)},
+                "seed": seed,
+                "target": target,
+                "own": units_to(found[own.name], target),
+                **{
+                    f"{name} at {at:g}": best_at(result, at)
+                    for name, result in found.items()
+                    for at in (budget / share, budget)
+                },
                 **{f"{name} end": result.after for name, result in found.items()},
             }
-        )  # fmt: skip
+        )
     median = float(np.median([row["own"] for row in rows]))
     return {
-        "n": problem.space.size, "method": own.name, "budget": budget, "runs": runs,
-        "duration_s": duration, "prices": prices._asdict(), "rows": rows, "median_units": median,
-        "share": median / budget, "wanted": 1 / share,
-    }  # fmt: skip
+        "n": problem.space.size,
+        "method": own.name,
+        "budget": budget,
+        "runs": runs,
+        "duration_s": duration,
+        "prices": cost_model._asdict(),
+        "rows": rows,
+        "median_units": median,
+        "share": median / budget,
+        "wanted": 1 / share,
+    }
 
 
 def show(found: dict[str, Any]) -> str:
     """A table, one line a seed."""
     names = [name for name in found["rows"][0] if name != "seed"]
-    body = [
-        [str(row["seed"]), *(f"{row[name]:.4g}" for name in names)] for row in found["rows"]
-    ]  # fmt: skip
+    body = [[str(row["seed"]), *(f"{row[name]:.4g}" for name in names)] for row in found["rows"]]
     head = (
         f"n = {found['n']}: {found['method']} reaches the best of {found['budget']:g} units of "
         f"CMA-ES in {found['median_units']:.0f} units (median), {found['share']:.3f} of them; "
@@ -173,7 +191,7 @@ def main() -> None:
     print(machine())
     found = compare(
         options.few, options.seeds, options.budget, options.duration, options.runs, options.others
-    )  # fmt: skip
+    )
     print(show(found))
     if options.json:
         options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")

@@ -29,10 +29,10 @@ import numpy as np
 import jaxstage as js
 from jaxstage import plot
 from jaxstage.plot import tuning as pictures
-from tuning.tuner.baselines import course
-from tuning.tuner.pictures import simulate_pair
+from tuning.tuner.baselines import convergence_curve
+from tuning.tuner.pictures import simulate_before_after
 from tuning.tuner.problem.objective import Term
-from tuning.tuner.problem.problem import curvatures, evaluate, make_problem
+from tuning.tuner.problem.problem import evaluate, gauss_newton_model, make_problem
 from tuning.tuner.problem.run_group import make_group
 from tuning.tuner.problem.search_space import Search, default_searches, search_space
 from tuning.tuner.search.cma_es import cma_es
@@ -81,7 +81,7 @@ for entry in searched.entries:
 # %%
 here = searched.start()
 along = np.array([1.0, 0.0])
-exact = curvatures(problem, here[None])
+exact = gauss_newton_model(problem, here[None])
 slope = exact.gradient[0] @ along
 print(f"derivative of the simulation: {slope:.6f}")
 for step in 10.0 ** -np.arange(0, 7):
@@ -118,9 +118,9 @@ ax.legend()
 # %%
 steps = []
 tuned = tune(problem, levenberg_marquardt(), budget=BUDGET, watch=steps.append)
-print(f"a derivative in both gains: {tuned.prices.curvature:.0f} units")
+print(f"a derivative in both gains: {tuned.cost_model.curvature:.0f} units")
 for step in steps[:: max(1, len(steps) // 8)]:
-    print(f"{step.units:5.1f} units: objective {step.best:.4f}")
+    print(f"{step.simulations:5.1f} units: objective {step.best:.4f}")
 print(f"{tuned.before:.3f} -> {tuned.after:.4f}, {tuned.ended}")
 
 
@@ -161,7 +161,7 @@ ax.legend()
 
 # %%
 other = tune(problem, cma_es(), budget=BUDGET)
-traces = [pictures.Trace(*course(one)) for one in (tuned, other)]
+traces = [pictures.Trace(*convergence_curve(one)) for one in (tuned, other)]
 pictures.history(traces, f"{LOOP}, {PLANTS} plants, seed 0")
 
 # %% [markdown]
@@ -171,7 +171,7 @@ pictures.history(traces, f"{LOOP}, {PLANTS} plants, seed 0")
 # do anything about it.
 
 # %%
-pair = simulate_pair(case, case.gains, tuned.gains, recorded=True)
+pair = simulate_before_after(case, case.gains, tuned.gains, recorded=True)
 
 
 def shown(case, run):

@@ -29,7 +29,7 @@ import jaxstage as js
 from jaxstage import plot
 from jaxstage.controllers.fuzzy_rules import fuzzy_laws
 from jaxstage.plot import tuning as pictures
-from tuning.tuner.pictures import rules_text, simulate_pair
+from tuning.tuner.pictures import rules_text, simulate_before_after
 from tuning.tuner.problem.objective import Term
 from tuning.tuner.problem.problem import make_problem
 from tuning.tuner.problem.run_group import make_group
@@ -90,7 +90,7 @@ print(f"{searched.size} rules: objective {tuned.before:.3f} -> {tuned.after:.4f}
 # ## The machine, before and after
 
 # %%
-pair = simulate_pair(case, case.gains, tuned.gains, recorded=True)
+pair = simulate_before_after(case, case.gains, tuned.gains, recorded=True)
 for name in ("contour_rms_um", "contour_max_um", "energy_J"):
     before, after = (figures[name] for figures in pair.figures())
     print(f"{name:16s} {before:9.4g} -> {after:9.4g}")

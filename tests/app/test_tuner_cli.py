@@ -35,8 +35,21 @@ loop = "pi-star"
 set = ["lap_time=0.04", "laps=1", "scored=0"]
 """
 WORDS = ("--set", "lap_time=0.02", "--set", "laps=1", "--set", "scored=0", "--train", "train.toml")
-SMALL = ("tune", "pi-circle", *WORDS, "--gains", "c1,K:tied", "--method", "random", "--starts", "1",
-         "--budget", "80", "--margin", "0")  # fmt: skip
+SMALL = (
+    "tune",
+    "pi-circle",
+    *WORDS,
+    "--gains",
+    "c1,K:tied",
+    "--method",
+    "random",
+    "--starts",
+    "1",
+    "--budget",
+    "80",
+    "--margin",
+    "0",
+)
 EXTRAS = ("--baseline", "cma", "--pareto")
 
 
@@ -94,8 +107,8 @@ def test_one_object_that_says_all(command, shared):
     assert ratios[0] == pytest.approx(ratios[1]) and ratios[0] != 1.0, "tied: one factor"
     for one in (*slopes, *both):
         assert one["low"] <= one["value"] <= one["high"]
-    trials = [found["diagnostics"][name] for name in ("exact", "half_step", "longer")]
-    assert all(trial["lost"] == 0 and trial["before"] > 0 for trial in trials)
+    validation = [found["diagnostics"][name] for name in ("exact", "half_step", "longer")]
+    assert all(trial["lost"] == 0 and trial["before"] > 0 for trial in validation)
     (other,) = found["baselines"]
     assert other["method"] == "cma" and other["objective"] <= 1
     assert other["units"] == pytest.approx(found["units"], rel=0.3)
@@ -149,8 +162,13 @@ def test_history_and_pictures(command, shared):
     assert methods == {"random", "cma"}
     drawn = {file.name for file in shared.glob("*.png")}
     assert drawn == {
-        "error.png", "history.png", "parameters.png", "held-out.png", "baseline.png", "pareto.png",
-    }  # fmt: skip
+        "error.png",
+        "history.png",
+        "parameters.png",
+        "held-out.png",
+        "baseline.png",
+        "pareto.png",
+    }
 
 
 def test_trade_offs(command, shared):
@@ -267,9 +285,11 @@ def process(folder, last, cache):
     """A process that trains into a folder and is killed after a step; -1: it is not."""
     return subprocess.run(
         [sys.executable, "-c", PROGRAM, str(folder), str(last)],
-        capture_output=True, text=True, check=False,
+        capture_output=True,
+        text=True,
+        check=False,
         env=os.environ | {"PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": str(cache)},
-    )  # fmt: skip
+    )
 
 
 def test_killed_in_the_middle_it_ends_at_the_same_gains(command, shared, cache, tmp_path):
@@ -287,8 +307,8 @@ def test_killed_in_the_middle_it_ends_at_the_same_gains(command, shared, cache, 
     finished = process(folder, -1, cache)
     assert finished.returncode == 0, finished.stderr
     assert [file.read_bytes() for file in kept] == before, "nothing was simulated twice"
-    z, units = finished.stdout.split()
-    assert float(units) == pytest.approx(found["units"], abs=0.05)
+    z, simulations = finished.stdout.split()
+    assert float(simulations) == pytest.approx(found["units"], abs=0.05)
     every = sorted((folder / "journal" / "round-0").glob("*.npz"))
     assert [file.name for file in every] == [file.name for file in whole]
     for mine, other in zip(every[2:], whole[2:], strict=True):
@@ -342,7 +362,7 @@ WRONG = {
         ["pi-circle", "--gains", "wild.toml", "--gains", "c1"],
         "before tuning 1 of 4 training runs are lost, the first, pi-circle 3, at",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", WRONG)

@@ -12,14 +12,14 @@ import jaxstage as js
 from jaxstage.metrics import record, selected, together
 from jaxstage.studies import with_metric
 from jaxstage.studies.case import scored
-from tuning.tuner.problem.gradient_check import gradient_check, judged
+from tuning.tuner.problem.gradient_check import compare_slopes, gradient_check
 from tuning.tuner.problem.objective import LOST, Term, cvar, mean, parse_goals, worst
 from tuning.tuner.problem.problem import (
-    curvatures,
     evaluate,
+    gauss_newton_model,
     make_problem,
     scales_of,
-    slopes,
+    value_and_grad,
     with_weights,
 )
 from tuning.tuner.problem.run_group import make_group
@@ -29,13 +29,13 @@ from tuning.tuner.problem.training_metrics import (
     CONTOUR,
     FOLLOWING,
     PIECES,
-    available,
+    available_columns,
     growth,
     pieces,
     smooth_max,
 )
 from tuning.tuner.search.cma_es import cma_es
-from tuning.tuner.search.cost_model import Prices
+from tuning.tuner.search.cost_model import CostModel
 from tuning.tuner.search.first_order import first_order
 from tuning.tuner.search.lbfgs import lbfgs
 from tuning.tuner.search.levenberg_marquardt import levenberg_marquardt
@@ -47,7 +47,7 @@ from tuning.uncertainty.uncertain_space import draw, space, study_spreads
 pytestmark = pytest.mark.long
 
 TICKS, RUNS = 300, 3
-PRICES = Prices(gradient=4.0, curvature=5.0, unit_s=1e-3)
+COST_MODEL = CostModel(gradient=4.0, curvature=5.0, simulation_s=1e-3)
 TERMS = (Term("contour_rms_um"), Term("energy_copper_J", 0.1), Term("command_change_rms_A", 0.1))
 
 
@@ -87,8 +87,9 @@ def test_figures_are_those_of_single_runs():
     loop = js.replace(own.case.loop, metric=own.case.metric)
     for run in (1, RUNS + 1):  # a plant, and the first one with more gain
         axes = own.batch.in_axes[1]
-        spread = jax.tree.map(lambda a, x: a is not None, axes, own.batch.scenario,
-                              is_leaf=lambda a: a is None)  # fmt: skip
+        spread = jax.tree.map(
+            lambda a, x: a is not None, axes, own.batch.scenario, is_leaf=lambda a: a is None
+        )
         scenario = jax.tree.map(lambda s, x, r=run: x[r] if s else x, spread, own.batch.scenario)
         gains = searched().gains_of(jnp.asarray(Z))
         report = js.simulate(loop, gains, scenario, own.case.path, TICKS).report
@@ -106,9 +107,11 @@ def test_sums_of_a_run_are_those_of_its_record():
     first = 60
     window = case().window._replace(start=first)
     own = together(
-        record, pieces((CONTOUR, FOLLOWING, CHANGE), window), scored(smooth_max, window),
+        record,
+        pieces((CONTOUR, FOLLOWING, CHANGE), window),
+        scored(smooth_max, window),
         growth(TICKS),
-    )  # fmt: skip
+    )
     run = with_metric(case(), own).simulate()
     rows, report = run.rows["record"], run.report
     error = np.asarray(rows.setpoint.position - rows.output.position)
@@ -117,9 +120,10 @@ def test_sums_of_a_run_are_those_of_its_record():
     change = np.diff(command, axis=0, prepend=command[:1])
     inside = TICKS - first
     for name, square in (
-        ("contour", contour**2), ("following", np.mean(error**2, axis=1)),
+        ("contour", contour**2),
+        ("following", np.mean(error**2, axis=1)),
         ("change", np.mean(change**2, axis=1)),
-    ):  # fmt: skip
+    ):
         parts = square[first:].reshape(PIECES, -1).sum(axis=1) / inside
         np.testing.assert_allclose(report["pieces"][name], parts, rtol=1e-10)
     power = np.mean(np.abs(contour[first:]) ** 16) ** (1 / 16)
@@ -161,7 +165,7 @@ def test_the_objective_is_the_sum_of_its_terms():
 
 def test_derivatives_agree():
     """Reverse and forward mode, the curvature's per-run gradients, and differences."""
-    reverse, forward = slopes(problem(), Z[None]), curvatures(problem(), Z[None])
+    reverse, forward = value_and_grad(problem(), Z[None]), gauss_newton_model(problem(), Z[None])
     scale = np.max(np.abs(forward.gradient))
     np.testing.assert_allclose(reverse.gradient, forward.gradient, atol=1e-9 * scale)
     summed = np.average(forward.of_runs, axis=1, weights=[1.0] * RUNS + [0.05] * 2)
@@ -176,9 +180,9 @@ def test_derivatives_agree():
 def test_a_wrong_gradient_fails_the_check():
     slope = np.array([[1.0, 2.0], [0.5, -1.0], [0.2, 0.3], [1.0, 1.0]])
     runs = ("a", "b", "c", "d")
-    assert judged(runs, slope, [slope * 1.1, slope]).ok
-    assert not judged(runs, slope, [-slope, 0 * slope]).ok
-    assert not judged(runs, np.where(slope == 0.5, np.nan, slope), [slope]).ok
+    assert compare_slopes(runs, slope, [slope * 1.1, slope]).ok
+    assert not compare_slopes(runs, slope, [-slope, 0 * slope]).ok
+    assert not compare_slopes(runs, np.where(slope == 0.5, np.nan, slope), [slope]).ok
 
 
 def test_lost_runs_order_candidates():
@@ -265,26 +269,34 @@ def test_what_a_problem_refuses():
             make_problem(*parts, terms)
     with pytest.raises(ValueError, match=r"margin = 1: must be in 0\.\.1"):
         make_group("g", case(), {}, np.arange(1), margin=1.0)
-    assert {"growth", "contour_smooth_max_um", "command_change_rms_A"} < set(available(case()))
+    assert {"growth", "contour_smooth_max_um", "command_change_rms_A"} < set(
+        available_columns(case())
+    )
 
 
 # --- methods -------------------------------------------------------------------------------
 
 
 def tuned(method, budget=60.0, **more):
-    return tune(problem(), method, budget=budget, prices=PRICES, **more)
+    return tune(problem(), method, budget=budget, cost_model=COST_MODEL, **more)
 
 
 def test_every_method_improves_and_says_what_it_spent():
     for method in (
-        levenberg_marquardt(), lbfgs(), first_order(), cma_es(), random_search(batch=8),
-    ):  # fmt: skip
+        levenberg_marquardt(),
+        lbfgs(),
+        first_order(),
+        cma_es(),
+        random_search(batch=8),
+    ):
         found = tuned(method)
         assert found.before == pytest.approx(1.0) and found.after < 0.97, method.name
         assert found.feasible and found.method == method.name
         steps = found.history
-        assert steps[-1].units == pytest.approx(found.units) and found.units <= 60.0
-        assert found.units > 35 and not found.note
+        assert (
+            steps[-1].simulations == pytest.approx(found.simulations) and found.simulations <= 60.0
+        )
+        assert found.simulations > 35 and not found.note
         assert all(a.best >= b.best for a, b in itertools.pairwise(steps))
         again = evaluate(problem(), found.z[None]).objective[0]
         assert again == pytest.approx(found.after, rel=1e-9)
@@ -293,26 +305,28 @@ def test_every_method_improves_and_says_what_it_spent():
 def test_the_method_is_chosen_by_size_and_check():
     found, alone = tuned(None, budget=200.0), tuned(levenberg_marquardt(), budget=200.0)
     assert found.method == "lm" and found.check is not None and found.check.ok
-    assert alone.units < 150 and alone.ended == "no start finds anything better"
-    assert 190 < found.units <= 200, "CMA-ES goes on from where it ended"
+    assert alone.simulations < 150 and alone.ended == "no start finds anything better"
+    assert 190 < found.simulations <= 200, "CMA-ES goes on from where it ended"
     assert found.after <= alone.after < 0.97 and found.starts[0].objective == alone.after
 
 
 def test_a_budget_below_a_jacobian_is_not_overrun():
     """CMA-ES searches in its place, and the result says so; nothing is asked beyond the budget."""
-    dear = PRICES._replace(curvature=50.0, gradient=40.0)
+    dear = COST_MODEL._replace(curvature=50.0, gradient=40.0)
     for method, name, least in ((None, "lm", 65), (lbfgs(), "lbfgs", 44)):
         budget = least - 1.0
-        found = tune(problem(), method, budget=budget, prices=dear)
-        assert found.method == "cma" and 0.8 * budget < found.units <= budget
+        found = tune(problem(), method, budget=budget, cost_model=dear)
+        assert found.method == "cma" and 0.8 * budget < found.simulations <= budget
         told = f"the first step of {name} costs {least} units, more than the budget"
         assert found.note == f"{told}: CMA-ES searched"
         assert found.after < found.before
-    first = tune(problem(), lbfgs(), budget=44.0, prices=dear)
-    assert first.method == "lbfgs" and first.units == 44 and first.after < first.before
-    assert [step.units for step in first.history] == [40, 44], "what the last step tried is told"
+    first = tune(problem(), lbfgs(), budget=44.0, cost_model=dear)
+    assert first.method == "lbfgs" and first.simulations == 44 and first.after < first.before
+    assert [step.simulations for step in first.history] == [40, 44], (
+        "what the last step tried is told"
+    )
     with pytest.raises(ValueError, match="budget = 17: must be >= 18 units"):
-        tune(problem(), starts=2, budget=17.0, prices=dear)
+        tune(problem(), starts=2, budget=17.0, cost_model=dear)
 
 
 def test_a_start_that_falls_behind_is_given_up():
@@ -331,33 +345,33 @@ def test_a_start_that_falls_behind_is_given_up():
         return state
 
     both = np.stack([searched().start(), Z])
-    idle = Method(name="idle", needs="", first=lambda prices, n: 2.0, begin=begin, step=step)
+    idle = Method(name="idle", needs="", first=lambda cost_model, n: 2.0, begin=begin, step=step)
     found = tuned(idle, starts=both, budget=12.0)
-    assert asked == [[0, 1]] * 2 + [[0]] * 6 and found.units == 12
+    assert asked == [[0, 1]] * 2 + [[0]] * 6 and found.simulations == 12
 
 
 def test_a_stopped_tuning_ends_the_same(tmp_path):
     """Half of the evaluations are lost, and a file is cut off: the rest is done again."""
-    whole = tuned(levenberg_marquardt(), budget=80.0, journal=tmp_path, starts=2, seed=3)
+    whole = tuned(levenberg_marquardt(), budget=80.0, log_folder=tmp_path, starts=2, seed=3)
     files = sorted(tmp_path.glob("*.npz"))
     assert len(files) > 6
     for file in files[len(files) // 2 + 1 :]:
         file.unlink()
     cut = files[len(files) // 2]
     cut.write_bytes(cut.read_bytes()[:100])
-    again = tuned(levenberg_marquardt(), budget=80.0, journal=tmp_path, starts=2, seed=3)
+    again = tuned(levenberg_marquardt(), budget=80.0, log_folder=tmp_path, starts=2, seed=3)
     assert np.array_equal(whole.z, again.z) and whole.after == again.after
     assert [p.best for p in whole.history] == [p.best for p in again.history]
     assert sorted(tmp_path.glob("*.npz")) == files
     with pytest.raises(ValueError, match="holds the evaluations of another tuning"):
-        tuned(levenberg_marquardt(), budget=80.0, journal=tmp_path, starts=2, seed=4)
+        tuned(levenberg_marquardt(), budget=80.0, log_folder=tmp_path, starts=2, seed=4)
 
 
 def test_goals_are_met_before_anything_else():
     """Least contour error among what moves the command by less than 60 mA a period."""
-    goals = parse_goals("command_change_rms_A < 0.06", available(case()))
+    goals = parse_goals("command_change_rms_A < 0.06", available_columns(case()))
     bound = make_problem(searched(), (group(0.25),), TERMS[:1], goals, width=4)
-    found = tune(bound, levenberg_marquardt(), budget=80.0, prices=PRICES)
+    found = tune(bound, levenberg_marquardt(), budget=80.0, cost_model=COST_MODEL)
     assert found.feasible and found.after < 0.9
     change = evaluate(problem(), found.z[None]).columns["command_change_rms_A"]
     assert 0.058 < np.max(change) < 0.06, "the goal is what stops it"

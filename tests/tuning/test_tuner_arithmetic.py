@@ -16,16 +16,16 @@ from tuning.store.prepare import prepare
 from tuning.tuner.evidence.diagnostics import effects
 from tuning.tuner.evidence.worst_case import worst_of
 from tuning.tuner.options import default_objective, parse_gains, parse_objective, search_of
-from tuning.tuner.pictures import Pair, rule_pictures, rules_text, write_rules
+from tuning.tuner.pictures import BeforeAfter, rule_pictures, rules_text, write_rules
 from tuning.tuner.problem.objective import Term
 from tuning.tuner.problem.transforms import logarithmic
 from tuning.tuner.search.pareto_front import hypervolume, knee, non_dominated, weights
 
 pytestmark = pytest.mark.fast
 
-POINTS = st.lists(
-    st.tuples(*[st.integers(0, 6).map(float)] * 3), min_size=1, max_size=12
-).map(np.array)  # fmt: skip
+POINTS = st.lists(st.tuples(*[st.integers(0, 6).map(float)] * 3), min_size=1, max_size=12).map(
+    np.array
+)
 
 
 class Memory(NamedTuple):
@@ -118,8 +118,9 @@ def test_tuned_gains_come_back_to_the_last_bit(tmp_path):
     case = js.build("cmac-circle")
     slope = jnp.asarray([1 / 3, np.pi])
     gains = js.replace(case.gains, slope=slope)
-    tuned = [TunedGain("gains.slope", "c1", "1/s", np.full(2, 0.1), np.array([9.0, 10.0]),
-                       np.ones(2))]  # fmt: skip
+    tuned = [
+        TunedGain("gains.slope", "c1", "1/s", np.full(2, 0.1), np.array([9.0, 10.0]), np.ones(2))
+    ]
     file = tmp_path / "gains.toml"
     file.write_text(to_text(case, gains, tuned, ["tuned for\ncmac-circle"]))
     head = '# tuned for cmac-circle\nlaw = "cmac_sliding[crisp, exact]"\n\n[gains]\n'
@@ -225,12 +226,14 @@ def test_fuzzy_rules_before_and_after_as_tables_and_surfaces(tmp_path):
     after = js.replace(case.gains, extra=js.replace(case.gains.extra, rules=moved))
     first = case.loop.reference.sample(case.path, jnp.zeros((), jnp.int32))
     seen = Measurement(
-        position=first.position, velocity=first.velocity, drive_position=first.position,
+        position=first.position,
+        velocity=first.velocity,
+        drive_position=first.position,
         drive_velocity=first.velocity,
-    )  # fmt: skip
+    )
     cases = [case, case._replace(gains=after)]
     runs = [Ended(Memory(c.loop.controller.init(c.gains, first, seen))) for c in cases]
-    pair = Pair(cases[0], cases[1], (runs[0], runs[1]))
+    pair = BeforeAfter(cases[0], cases[1], (runs[0], runs[1]))
     write_rules(tmp_path, pair)
     before, tuned = (tmp_path / "rules.txt").read_text().split("AFTER TUNING")
     assert before.startswith("BEFORE TUNING") and "1234" not in before
@@ -238,11 +241,14 @@ def test_fuzzy_rules_before_and_after_as_tables_and_surfaces(tmp_path):
     for text in ("K_P in 1/s2", "K_I in 1/s3", "K_D in 1/s", "NB", "PB"):
         assert text in before and text in tuned, text
     drawn = rule_pictures(pair)
-    names = [f"rules-{q}-{w}" for w in ("before", "after")
-             for q in ("proportional", "integral", "derivative")]  # fmt: skip
+    names = [
+        f"rules-{q}-{w}"
+        for w in ("before", "after")
+        for q in ("proportional", "integral", "derivative")
+    ]
     assert list(drawn) == names
     told = [text.get_text() for text in drawn["rules-proportional-after"].axes[0].texts]
     assert "1234" in told or "1235" in told
     plain = js.build("pi-circle", js.Timing(lap_time=0.02, laps=1))
     without = Ended(Memory(()))
-    assert rules_text(Pair(plain, plain, (without, without))) is None
+    assert rules_text(BeforeAfter(plain, plain, (without, without))) is None

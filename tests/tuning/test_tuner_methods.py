@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tuning.tuner.problem.problem import Curvatures, Slopes
+from tuning.tuner.problem.problem import GaussNewtonModel, ValueAndGrad
 from tuning.tuner.search.cma_es import cma_es
 from tuning.tuner.search.first_order import first_order
 from tuning.tuner.search.lbfgs import direction, lbfgs
@@ -50,19 +50,19 @@ def oracle(spoil=lambda z, value: value, asked=None):
     def slope(z):
         return 2 * np.einsum("mri,mr->mi", jacobian(z), residuals(z))
 
-    def slopes(z, rows):
+    def value_and_grad(z, rows):
         count("slopes", z)
         gradient = np.where(np.isfinite(value(z))[:, None], slope(z), np.nan)
-        return Slopes(value(z), gradient, np.zeros(len(z)))
+        return ValueAndGrad(value(z), gradient, np.zeros(len(z)))
 
-    def curvatures(z, rows):
+    def gauss_newton_model(z, rows):
         count("curvatures", z)
         j = jacobian(z)
         gradient = np.where(np.isfinite(value(z))[:, None], slope(z), np.nan)
         matrix = 2 * np.einsum("mri,mrj->mij", j, j)
-        return Curvatures(value(z), gradient, matrix, np.zeros(len(z)), gradient[:, None])
+        return GaussNewtonModel(value(z), gradient, matrix, np.zeros(len(z)), gradient[:, None])
 
-    return Oracle(values, slopes, curvatures)
+    return Oracle(values, value_and_grad, gauss_newton_model)
 
 
 STARTS = np.stack([np.full(10, -0.5), np.linspace(-1, 1, 10)])
@@ -91,9 +91,10 @@ def test_the_minimum_is_found(method, steps, reached):
 
 
 @pytest.mark.parametrize(
-    "method", [levenberg_marquardt(), lbfgs(), first_order(), cma_es(), random_search()],
+    "method",
+    [levenberg_marquardt(), lbfgs(), first_order(), cma_es(), random_search()],
     ids=lambda m: m.name,
-)  # fmt: skip
+)
 def test_steps_are_pure_and_never_worse(method):
     states = searched(method, 12)
     assert all(np.all(b.value <= a.value) for a, b in pairwise(states))

@@ -14,44 +14,55 @@ import jaxstage as js
 from jaxstage.metrics import columns
 from tuning.app.compare_command import find_study, gains_files, other_gains
 from tuning.tuner.evidence.validation import (
-    Judged,
-    Trial,
-    Trials,
-    figures,
+    PairedRuns,
+    Validation,
+    ValidationRuns,
     held_out_verdict,
-    judge,
-    light,
     refusals,
+    simulate_metrics,
+    simulate_pairs,
+    with_light_metric,
 )
 from tuning.tuner.evidence.worst_case import worst_plants
 from tuning.tuner.problem import default_sets as training
-from tuning.tuner.problem.default_sets import Asked, longer, shortened, spreads_of
+from tuning.tuner.problem.default_sets import LoopSpec, longer, shortened, spreads_of
 from tuning.tuner.problem.objective import parse_goals
 from tuning.tuner.problem.problem import Evaluation
-from tuning.tuner.problem.scenario_set import Contour, Wanted, scenarios, series, set_table, widened
-from tuning.tuner.problem.set_file import read_sets
-from tuning.tuner.session import missed
+from tuning.tuner.problem.scenario_set import (
+    ContourSpec,
+    SetSpec,
+    count_runs,
+    run_sets,
+    set_table,
+    widened,
+)
+from tuning.tuner.problem.set_file import ScenarioSets, read_sets, refuse_overlap
+from tuning.tuner.session import missed_goals
 
 #: laps of 50 ms: paths of 500 ticks
 FAST = ("lap_time=0.05", "laps=1", "scored=0")
 
 
 @functools.cache
-def asked(loop="pi-circle", words=FAST):
+def loop_spec(loop="pi-circle", words=FAST):
     spreads, correlations = spreads_of(loop, None)
-    return Asked(loop, words, None, None, tuple(spreads), tuple(correlations), 7)
+    return LoopSpec(loop, words, None, None, tuple(spreads), tuple(correlations), 7)
 
 
 @functools.cache
 def default():
-    return read_sets(None, asked())
+    return read_sets(None, loop_spec())
 
 
-def wanted(**changes):
-    plain = Wanted(
-        contours=(Contour("pi-circle", FAST),), plants=3, nominal=True, noise_seeds=2, seed=1,
-        spreads=asked().spreads,
-    )  # fmt: skip
+def set_spec(**changes):
+    plain = SetSpec(
+        contours=(ContourSpec("pi-circle", FAST),),
+        plants=3,
+        nominal=True,
+        noise_seeds=2,
+        seed=1,
+        spreads=loop_spec().spreads,
+    )
     return plain._replace(**changes)
 
 
@@ -88,13 +99,13 @@ def test_the_held_out_runs_are_apart():
     for spread in sets.held_out.spreads:
         assert spread["low"] <= 0.8 and spread["high"] >= 1.2
     table = set_table(sets.held_out._replace(plants=7))
-    runs = series(table, {})
-    assert [len(one.labels) for one in runs] == [4, 3] and scenarios(table) == 7
+    runs = run_sets(table, {})
+    assert [len(one.labels) for one in runs] == [4, 3] and count_runs(table) == 7
     assert len({tuple(m) for one in runs for m in one.values["plant.mass"]}) == 7
 
 
 def test_without_another_contour_the_motion_is_spread():
-    sets = read_sets(None, asked("none", ()))
+    sets = read_sets(None, loop_spec("none", ()))
     paths = [spread["path"] for spread in sets.held_out.spreads]
     assert [c.loop for c in sets.held_out.contours] == ["none"]
     assert {"reference.radius", "reference.turn_rate", "reference.climb_rate"} < set(paths)
@@ -115,16 +126,20 @@ def test_only_narrow_uniform_factors_are_widened():
 
 def test_every_combination_once():
     table = set_table(
-        wanted(
-            contours=(Contour("pi-circle", FAST), Contour("pi-star", FAST)), horizons=(0.02, 0.03),
+        set_spec(
+            contours=(ContourSpec("pi-circle", FAST), ContourSpec("pi-star", FAST)),
+            horizons=(0.02, 0.03),
             starts=({"offset": [0.0, 0.0]}, {"offset": [1e-4, 0.0]}),
         )
-    )  # fmt: skip
-    runs = series(table, {})
-    assert scenarios(table) == sum(len(one.labels) for one in runs) == 2 * 2 * 2 * 4 * 2
+    )
+    runs = run_sets(table, {})
+    assert count_runs(table) == sum(len(one.labels) for one in runs) == 2 * 2 * 2 * 4 * 2
     assert [(one.case.name, one.case.window.ticks) for one in runs] == [
-        ("pi-circle", 200), ("pi-circle", 300), ("pi-star", 200), ("pi-star", 300),
-    ]  # fmt: skip
+        ("pi-circle", 200),
+        ("pi-circle", 300),
+        ("pi-star", 200),
+        ("pi-star", 300),
+    ]
     one = runs[0]
     assert len(set(one.labels)) == len(one.labels) == 16 and len(set(one.seeds)) == 16
     offsets = one.values["start.offset"][:, 0]
@@ -136,8 +151,8 @@ def test_every_combination_once():
 
 
 def test_plants_depend_on_the_seed_and_their_number_alone():
-    some, more = (series(set_table(wanted(plants=n)), {})[0].values for n in (3, 6))
-    other = series(set_table(wanted(seed=2)), {})[0].values
+    some, more = (run_sets(set_table(set_spec(plants=n)), {})[0].values for n in (3, 6))
+    other = run_sets(set_table(set_spec(seed=2)), {})[0].values
     for path in some:
         np.testing.assert_array_equal(more[path][: len(some[path])], some[path])
     assert not np.array_equal(some["plant.mass"][2:], other["plant.mass"][2:])
@@ -145,19 +160,19 @@ def test_plants_depend_on_the_seed_and_their_number_alone():
 
 def test_plants_that_cannot_exist_are_passed_over():
     """With +-20 % on both, some static frictions would fall below Coulomb friction."""
-    values = series(set_table(wanted(plants=60)), {})[0].values
+    values = run_sets(set_table(set_spec(plants=60)), {})[0].values
     assert np.all(values["plant.static"] >= values["plant.coulomb"])
-    names = series(set_table(wanted(plants=60)), {})[0].labels
+    names = run_sets(set_table(set_spec(plants=60)), {})[0].labels
     assert int(names[-1].split("plant ")[1].split(",")[0]) > 59
     none = [{"path": "plant.mass", "distribution": "uniform", "low": -2.0, "high": -1.0}]
     with pytest.raises(ValueError, match="only 0 can exist"):
-        series(set_table(wanted(spreads=tuple(none))), {})
+        run_sets(set_table(set_spec(spreads=tuple(none))), {})
 
 
 def test_loops_of_other_laws_do_not_train_together():
-    both = (Contour("pi-circle", FAST), Contour("cmac-circle", FAST))
+    both = (ContourSpec("pi-circle", FAST), ContourSpec("cmac-circle", FAST))
     with pytest.raises(ValueError, match=r"different laws \(pi, cmac_sliding"):
-        set_table(wanted(contours=both))
+        set_table(set_spec(contours=both))
 
 
 # --- the file ------------------------------------------------------------------------------------
@@ -184,14 +199,14 @@ noise_seeds = 2
 def test_a_file_says_what_it_says_and_defaults_the_rest(tmp_path):
     file = tmp_path / "train.toml"
     file.write_text(FILE)
-    sets = read_sets(file, asked())
+    sets = read_sets(file, loop_spec())
     train, held_out = sets
     assert [c.loop for c in train.contours] == ["pi-circle", "pi-star"]
     assert train.horizons == () and train.skip is None, "the timing of the contours counts"
     assert (train.plants, train.seed, train.nominal) == (2, 5, True)
-    assert train.starts == ({"offset": [1e-5, 0.0]},) and train.spreads == asked().spreads
+    assert train.starts == ({"offset": [1e-5, 0.0]},) and train.spreads == loop_spec().spreads
     assert held_out == default().held_out._replace(plants=9, noise_seeds=2)
-    assert series(set_table(train), {})[1].case.window.ticks == 1000
+    assert run_sets(set_table(train), {})[1].case.window.ticks == 1000
 
 
 def test_the_file_of_the_documentation_is_read(tmp_path):
@@ -199,8 +214,8 @@ def test_the_file_of_the_documentation_is_read(tmp_path):
     (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     file = tmp_path / "train.toml"
     file.write_text(block)
-    train, held_out = read_sets(file, asked("dfcmac-circle"))
-    assert train.contours == (Contour("dfcmac-circle", ("lap_time=1",)),)
+    train, held_out = read_sets(file, loop_spec("dfcmac-circle"))
+    assert train.contours == (ContourSpec("dfcmac-circle", ("lap_time=1",)),)
     assert train.horizons == (1.0,) and train.skip == 0.2 and len(train.spreads) == 1
     assert held_out.plants == 100 and held_out.dealt
 
@@ -232,50 +247,50 @@ def test_a_wrong_file_is_one_line_with_its_place(tmp_path, case):
     file = tmp_path / "train.toml"
     file.write_text(text + "\n")
     with pytest.raises(ValueError) as told:
-        read_sets(file, asked())
+        read_sets(file, loop_spec())
     assert str(told.value).startswith(str(file)) and says in str(told.value)
     assert "\n" not in str(told.value)
 
 
 def test_a_missing_file_and_a_held_out_set_that_is_no_other():
     with pytest.raises(ValueError, match="no such file"):
-        read_sets(Path("none.toml"), asked())
-    same = training.Sets(wanted(), wanted())
+        read_sets(Path("none.toml"), loop_spec())
+    same = ScenarioSets(set_spec(), set_spec())
     with pytest.raises(ValueError, match="the held-out set is the training set"):
-        training.apart(same)
-    training.apart(training.Sets(wanted(), wanted(seed=2)))
+        refuse_overlap(same)
+    refuse_overlap(ScenarioSets(set_spec(), set_spec(seed=2)))
 
 
 # --- verdicts ------------------------------------------------------------------------------------
 
 
-def judged(before, after):
+def pairs(before, after):
     both = np.array([before, after], float)
-    return Judged("contour_rms_um", both[0], both[1], {"contour_rms_um": both})
+    return PairedRuns("contour_rms_um", both[0], both[1], {"contour_rms_um": both})
 
 
 def test_the_verdict_on_held_out_runs():
     rng = np.random.default_rng(0)
     before = rng.uniform(10, 20, 60)
-    found = held_out_verdict(judged(before, 0.4 * before))
+    found = held_out_verdict(pairs(before, 0.4 * before))
     assert found.change.value == pytest.approx(-0.6) and found.lost == found.lost_before == 0
     assert found.before.low < before.mean() < found.before.high
     assert found.better.count == 60
-    noisy = held_out_verdict(judged(before, before * rng.uniform(0.2, 0.6, 60)))
+    noisy = held_out_verdict(pairs(before, before * rng.uniform(0.2, 0.6, 60)))
     assert noisy.change.low < noisy.change.value < noisy.change.high < -0.5
 
 
 def test_runs_that_one_of_both_lost_are_not_averaged():
-    found = held_out_verdict(judged([1.0, 2.0, 3.0, np.nan], [0.5, 1.0, np.nan, 9.0]))
+    found = held_out_verdict(pairs([1.0, 2.0, 3.0, np.nan], [0.5, 1.0, np.nan, 9.0]))
     assert found.before.value == 1.5 and found.after.value == 0.75
     assert (found.lost_before, found.lost, found.better.count) == (1, 1, 3)
     assert found.others["contour_rms_um"] == (1.5, 0.75)
-    gone = held_out_verdict(judged([1.0, np.nan], [np.nan, 2.0]))
+    gone = held_out_verdict(pairs([1.0, np.nan], [np.nan, 2.0]))
     assert gone.before is gone.change is None and gone.lost == 1
 
 
-GOOD = Trial((10.0, 4.0), (1.0, 0.3), 0)
-TRIALS = Trials(GOOD, GOOD, GOOD, ())
+GOOD = ValidationRuns((10.0, 4.0), (1.0, 0.3), 0)
+VALIDATION = Validation(GOOD, GOOD, GOOD, ())
 PLANTS = np.linspace(5.0, 9.0, 40)
 
 
@@ -283,42 +298,50 @@ PLANTS = np.linspace(5.0, 9.0, 40)
     ("changes", "after", "says"),
     [
         ({"missed": ("the goal a < 1 is not met: a = 2",)}, 0.5, "the goal a < 1 is not met"),
-        ({"exact": Trial((10.0, 4.0), (1.0, 1.0), 0)}, 0.5, "on the exact model did not fall"),
-        ({"exact": Trial((10.0, 4.0), (1.0, np.nan), 0)}, 0.5, "on the exact model did not fall"),
-        ({"exact": Trial((10.0, np.nan), (1.0, 1e6), 2)}, 0.5, "2 training runs are lost"),
+        (
+            {"exact": ValidationRuns((10.0, 4.0), (1.0, 1.0), 0)},
+            0.5,
+            "on the exact model did not fall",
+        ),
+        (
+            {"exact": ValidationRuns((10.0, 4.0), (1.0, np.nan), 0)},
+            0.5,
+            "on the exact model did not fall",
+        ),
+        ({"exact": ValidationRuns((10.0, np.nan), (1.0, 1e6), 2)}, 0.5, "2 training runs are lost"),
         ({"half_step": GOOD._replace(lost=1)}, 0.5, "with half the step 1 runs are lost"),
-        ({"half_step": GOOD._replace(figure=(10.0, 5.0))}, 0.5, "depends on the integration"),
+        ({"half_step": GOOD._replace(metric=(10.0, 5.0))}, 0.5, "depends on the integration"),
         (
             {"longer": GOOD._replace(objective=(1.0, 1.2))},
             0.5,
             "with 4 times the time and other plants the obj",
         ),
-        ({"longer": GOOD._replace(figure=(30.0, 9.0))}, 0.5, "the figure grows from 4 to 9"),
+        ({"longer": GOOD._replace(metric=(30.0, 9.0))}, 0.5, "the figure grows from 4 to 9"),
         ({}, 1.01, "is not shown to be a gain"),
         ({}, np.nan, "40 of 40 held-out runs are lost, 0 before"),
     ],
 )
 def test_what_is_refused_says_why(changes, after, says):
-    verdict = held_out_verdict(judged(PLANTS, after * PLANTS))
-    reasons = refusals(TRIALS._replace(**changes), verdict)
+    verdict = held_out_verdict(pairs(PLANTS, after * PLANTS))
+    reasons = refusals(VALIDATION._replace(**changes), verdict)
     assert any(says in reason for reason in reasons), reasons
     assert all("\n" not in reason for reason in reasons)
 
 
 def test_what_is_better_everywhere_is_accepted():
-    assert refusals(TRIALS, held_out_verdict(judged(PLANTS, 0.5 * PLANTS))) == ()
+    assert refusals(VALIDATION, held_out_verdict(pairs(PLANTS, 0.5 * PLANTS))) == ()
 
 
 def test_held_out_runs_are_simulated_under_both_gains():
     """Bit for bit the figure of `jaxstage run` of the nominal plant, under each of the gains."""
-    (one,) = series(set_table(wanted(plants=1, noise_seeds=1)), {})
+    (one,) = run_sets(set_table(set_spec(plants=1, noise_seeds=1)), {})
     slower = js.replace(one.case.gains, slope=one.case.gains.slope * 3)
-    found = judge([one], one.case.gains, slower, "contour_rms_um")
-    for gains, figure in ((one.case.gains, found.before), (slower, found.after)):
+    found = simulate_pairs([one], one.case.gains, slower, "contour_rms_um")
+    for gains, metric in ((one.case.gains, found.before), (slower, found.after)):
         run = jax.block_until_ready(one.case._replace(gains=gains).simulate())
         plain = float(run.report["contour"].contour_rms) * 1e6
-        assert figure[0] == pytest.approx(plain, rel=1e-10) and figure[1] != figure[0]
-    axes = judge([one], one.case.gains, slower, "following_rms_um")
+        assert metric[0] == pytest.approx(plain, rel=1e-10) and metric[1] != metric[0]
+    axes = simulate_pairs([one], one.case.gains, slower, "following_rms_um")
     each = [axes.columns[f"following_rms_{axis}_um"][0] for axis in "xy"]
     np.testing.assert_allclose(axes.before, np.sqrt(np.mean(np.square(each), axis=0)))
 
@@ -332,18 +355,20 @@ def test_a_goal_that_is_missed_says_where_and_by_what():
     goals = parse_goals("contour_max_um < 20 and growth < 2", columns)
     problem = Problem(goals, ("circle 0", "circle 1"))
     found = Evaluation(np.zeros(2), np.zeros((2, 2)), np.zeros(2), np.full((2, 2), np.nan), columns)
-    assert missed(problem, found, 0) == ()
-    assert missed(problem, found, 1) == (
+    assert missed_goals(problem, found, 0) == ()
+    assert missed_goals(problem, found, 1) == (
         "the goal contour_max_um < 20 is not met: contour_max_um = 31 in circle 1",
     )
     columns["contour_max_um"][1, 0] = np.nan
-    assert "contour_max_um = nan in circle 0" in missed(problem, found, 1)[0]
+    assert "contour_max_um = nan in circle 0" in missed_goals(problem, found, 1)[0]
 
 
 def test_the_worst_plants_are_those_that_simulation_shows():
-    (one,) = series(set_table(wanted(noise_seeds=1)), {})
+    (one,) = run_sets(set_table(set_spec(noise_seeds=1)), {})
     found = worst_plants([one], one.case.gains, "contour_rms_um")
-    shown = figures([one._replace(case=light(one.case, "contour_rms_um"))], [one.case.gains])
+    shown = simulate_metrics(
+        [one._replace(case=with_light_metric(one.case, "contour_rms_um"))], [one.case.gains]
+    )
     order = np.argsort(-shown["contour_rms_um"][0])[:2]
     assert found.labels == tuple(one.labels[i] for i in order)
     assert found.worst == shown["contour_rms_um"].max()

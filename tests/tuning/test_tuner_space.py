@@ -62,8 +62,11 @@ def test_ordered_values_stay_in_order():
 def test_names_parts_symbols_and_labels():
     space = made(Search("c1"), Search("receptive"), Search("gains.rate", tied=True))
     assert [e.path for e in space.entries] == [
-        "gains.slope", "gains.rate", "gains.receptive.spacing", "gains.receptive.width",
-    ]  # fmt: skip
+        "gains.slope",
+        "gains.rate",
+        "gains.receptive.spacing",
+        "gains.receptive.width",
+    ]
     assert space.size == 7 and len(space.labels) == 7
     assert space.labels[:3] == ("gains.slope x", "gains.slope y", "gains.rate")
     fixed = made(Search("receptive"), Search("sigma", fixed=True))

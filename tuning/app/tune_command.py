@@ -85,7 +85,7 @@ def tune(
     from tuning.tuner import configuration
 
     text = configuration.configure_tuning(
-        configuration.Request(
+        configuration.TuningRequest(
             loop=loop, words=tuple(set_ or ()), gains=tuple(gains or ()), scenario=scenario,
             objective=objective, goals=tuple(goal or ()), risk=risk, margin=margin,
             surrogate=surrogate, train=train, method=method, starts=starts, budget=budget,
@@ -103,9 +103,10 @@ def _tune(
     plan: Any, out: Path | None, methods: tuple[str, ...], pareto: bool, as_json: bool
 ) -> None:
     from jaxstage.system.files import goes_on
-    from tuning.tuner import baselines, display, report
+    from tuning.app import tune_display as display
+    from tuning.tuner import baselines, report
     from tuning.tuner import pareto as trade_offs
-    from tuning.tuner.pictures import pictures, simulate_pair, write_rules
+    from tuning.tuner.pictures import pictures, simulate_before_after, write_rules
     from tuning.tuner.session import run_tuning
 
     if pareto:
@@ -119,14 +120,14 @@ def _tune(
             front = trade_offs.pareto(outcome, plan.table["budget"], out) if pareto else None
             watch.stage("the loop itself, before and after")
             before, after = outcome.problem.space.gains, outcome.chosen.gains
-            pair = simulate_pair(plan.case, before, after, recorded=out is not None)
+            pair = simulate_before_after(plan.case, before, after, recorded=out is not None)
     except KeyboardInterrupt:
         if out is None:
             raise
         raise InterruptedError("every evaluation is kept, --resume goes on") from None
     except OSError as error:
         raise goes_on(error, "every evaluation is kept, --resume goes on") from None
-    extras = report.Extras(*pair.figures(), others, front)
+    extras = report.Extras(*pair.metrics(), others, front)
     answer = report.as_object(outcome, extras)
     names = []
     if out is not None:

@@ -7,35 +7,35 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxstage.model.settings import nearest_name
-from tuning.tuner.search.optimise import METHODS, Tuned, tune
-from tuning.tuner.session import Outcome, journal
+from tuning.tuner.search.optimise import METHODS, SearchResult, tune
+from tuning.tuner.session import TuningResult, log_folder
 
 
-class Course(NamedTuple):
+class ConvergenceCurve(NamedTuple):
     """How the best objective fell. method: its name. units, best, gradient: (k,)."""
 
     method: str
-    units: np.ndarray
+    simulations: np.ndarray
     best: np.ndarray
     gradient: np.ndarray
 
-    def at(self, units: float) -> float:
+    def at(self, simulations: float) -> float:
         """The best objective after so many units: 1 and what the first step gave are the start."""
-        reached = self.best[self.units <= units]
+        reached = self.best[self.simulations <= simulations]
         return float(reached[-1]) if len(reached) else float(self.best[0])
 
     def reached(self, objective: float) -> float | None:
         """Units after which the objective was reached, None where it was not."""
-        there = self.units[self.best <= objective]
+        there = self.simulations[self.best <= objective]
         return float(there[0]) if len(there) else None
 
 
-def course(tuned: Tuned) -> Course:
+def convergence_curve(tuned: SearchResult) -> ConvergenceCurve:
     """The course of a tuning; it begins at the gains before."""
     steps = tuned.history
-    return Course(
+    return ConvergenceCurve(
         method=tuned.method,
-        units=np.array([0.0, *(step.units for step in steps)]),
+        simulations=np.array([0.0, *(step.simulations for step in steps)]),
         best=np.minimum.accumulate([tuned.before, *(step.best for step in steps)]),
         gradient=np.array([np.nan, *(step.gradient_norm for step in steps)]),
     )
@@ -54,16 +54,20 @@ def parse_methods(text: str) -> tuple[str, ...]:
 
 
 def run_baselines(
-    outcome: Outcome, methods: Sequence[str], folder: Path | None
-) -> tuple[Course, ...]:
+    outcome: TuningResult, methods: Sequence[str], folder: Path | None
+) -> tuple[ConvergenceCurve, ...]:
     """Other methods on the first round's problem, from the same starts and seed, each with the
     units that its first round spent."""
     first, table = outcome.rounds[0].tuned, outcome.plan.table
     found = []
     for name in methods:
         tuned = tune(
-            outcome.problem, METHODS[name](), table["starts"], table["seed"], first.units,
-            journal=journal(folder, f"baseline-{name}"),
-        )  # fmt: skip
-        found.append(course(tuned))
+            outcome.problem,
+            METHODS[name](),
+            table["starts"],
+            table["seed"],
+            first.simulations,
+            log_folder=log_folder(folder, f"baseline-{name}"),
+        )
+        found.append(convergence_curve(tuned))
     return tuple(found)

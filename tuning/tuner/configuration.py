@@ -25,22 +25,22 @@ from tuning.tuner.options import (
     parse_objective,
     search_of,
 )
-from tuning.tuner.problem.default_sets import Asked, spreads_of
+from tuning.tuner.problem.default_sets import LoopSpec, spreads_of
 from tuning.tuner.problem.objective import RISKS, Goal, Term, parse_goals
-from tuning.tuner.problem.problem import WIDTH, Group, Problem, make_group, make_problem
+from tuning.tuner.problem.problem import WIDTH, Problem, RunGroup, make_group, make_problem
 from tuning.tuner.problem.scenario_set import (
     MOST_RUNS,
-    Series,
-    Wanted,
+    RunSet,
+    SetSpec,
+    count_runs,
+    run_sets,
     same_law,
-    scenarios,
-    series,
     set_table,
 )
 from tuning.tuner.problem.search_space import SearchSpace, default_searches, search_space
-from tuning.tuner.problem.set_file import apart, read_sets
+from tuning.tuner.problem.set_file import read_sets, refuse_overlap
 from tuning.tuner.problem.surrogate import NONE, SURROGATES
-from tuning.tuner.problem.training_metrics import available
+from tuning.tuner.problem.training_metrics import available_columns
 from tuning.tuner.search.cma_es import cma_es
 from tuning.tuner.search.optimise import AMONG, METHODS, least_budget
 from tuning.uncertainty.case_table import case_of, case_table
@@ -61,7 +61,7 @@ AUTO = "auto"
 MARGIN = 0.5
 
 
-class Request(NamedTuple):
+class TuningRequest(NamedTuple):
     """What the user asked for. gains: words of ``--gains``; objective, goals: texts."""
 
     loop: str
@@ -81,7 +81,7 @@ class Request(NamedTuple):
     seed: int = 0
 
 
-class Plan(NamedTuple):
+class TuningPlan(NamedTuple):
     """A configuration, built, but for the runs: those are made where they are needed.
 
     case: of the loop with its own timing. terms, goals: what matters.
@@ -100,12 +100,12 @@ class Plan(NamedTuple):
         return self.table["blocks"]
 
     @property
-    def figure(self) -> str:
+    def metric(self) -> str:
         """The column that gains are judged by: the first of the objective."""
         return self.terms[0].column
 
 
-def configure_tuning(request: Request) -> str:
+def configure_tuning(request: TuningRequest) -> str:
     """The configuration as text, everything in it checked but the runs themselves.
 
     Raises ValueError in one line for anything unknown, impossible or out of range.
@@ -114,17 +114,22 @@ def configure_tuning(request: Request) -> str:
     asked_gains = parse_gains(request.gains)
     prepared = prepare(request.loop, list(request.words), asked_gains.file, request.scenario)
     spreads, correlations = spreads_of(request.loop, request.scenario)
-    asked = Asked(
-        request.loop, request.words, asked_gains.file, request.scenario, tuple(spreads),
-        tuple(correlations), request.seed,
-    )  # fmt: skip
-    sets = read_sets(request.train, asked)
-    apart(sets)
-    trained = _named_set("train", sets.train, asked)
+    loop_spec = LoopSpec(
+        request.loop,
+        request.words,
+        asked_gains.file,
+        request.scenario,
+        tuple(spreads),
+        tuple(correlations),
+        request.seed,
+    )
+    sets = read_sets(request.train, loop_spec)
+    refuse_overlap(sets)
+    trained = _named_set("train", sets.train, loop_spec)
     case = case_of(trained["case"][0], _blocks(request.scenario))
     same_law(prepared.case, case)
     SURROGATES[request.surrogate](case)
-    columns = available(case)
+    columns = available_columns(case)
     unit = key("", case.loop.plant.command_unit).removeprefix("_")
     objective = request.objective or default_objective(columns, unit)
     parse_objective(objective, columns)
@@ -133,30 +138,32 @@ def configure_tuning(request: Request) -> str:
     searches = asked_gains.searches or _default_searches(prepared.case)
     space = search_space(prepared.case, [search_of(dict(one)) for one in searches])
     _check_budget(request, space.size)
-    held_out = _named_set("held_out", sets.held_out, asked)
-    return plain_toml({
-        "jaxstage": __version__,
-        "jax": jax.__version__,
-        "loop": request.loop,
-        "method": request.method,
-        "starts": request.starts,
-        "budget": float(request.budget),
-        "seed": request.seed,
-        "worst_case": request.worst_case,
-        "objective": objective,
-        "goal": list(request.goals),
-        "risk": request.risk,
-        "margin": float(request.margin),
-        "surrogate": request.surrogate,
-        "blocks": dict(_blocks(request.scenario)),
-        "search": list(searches),
-        "case": case_table(prepared.case),
-        "train": trained,
-        "held_out": held_out,
-    })  # fmt: skip
+    held_out = _named_set("held_out", sets.held_out, loop_spec)
+    return plain_toml(
+        {
+            "jaxstage": __version__,
+            "jax": jax.__version__,
+            "loop": request.loop,
+            "method": request.method,
+            "starts": request.starts,
+            "budget": float(request.budget),
+            "seed": request.seed,
+            "worst_case": request.worst_case,
+            "objective": objective,
+            "goal": list(request.goals),
+            "risk": request.risk,
+            "margin": float(request.margin),
+            "surrogate": request.surrogate,
+            "blocks": dict(_blocks(request.scenario)),
+            "search": list(searches),
+            "case": case_table(prepared.case),
+            "train": trained,
+            "held_out": held_out,
+        }
+    )
 
 
-def _check_numbers(request: Request) -> None:
+def _check_numbers(request: TuningRequest) -> None:
     if request.method not in (AUTO, *METHODS):
         hint = nearest_name(request.method, METHODS)
         known = ", ".join((AUTO, *METHODS))
@@ -179,7 +186,7 @@ def _check_numbers(request: Request) -> None:
             raise ValueError(f"{name} {value}: must be {least}..{most}")
 
 
-def _check_budget(request: Request, n: int) -> None:
+def _check_budget(request: TuningRequest, n: int) -> None:
     method = METHODS.get(request.method, cma_es)()
     rounds = request.worst_case + 1
     least = rounds * least_budget(method, n, request.starts)
@@ -195,14 +202,14 @@ def _blocks(scenario: Path | None) -> Mapping[str, Any]:
     return read_scenario(scenario).blocks if scenario else {}
 
 
-def _named_set(name: str, wanted: Wanted, asked: Asked) -> dict[str, Any]:
+def _named_set(name: str, spec: SetSpec, loop_spec: LoopSpec) -> dict[str, Any]:
     """The table of a set; an error says of which."""
     try:
-        table = set_table(wanted, asked.gains, asked.scenario)
+        table = set_table(spec, loop_spec.gains, loop_spec.scenario)
     except ValueError as error:
         raise ValueError(f"[{name}] {error}") from None
-    if scenarios(table) > MOST_RUNS:
-        raise ValueError(f"[{name}] {scenarios(table)} runs: must be <= {MOST_RUNS}")
+    if count_runs(table) > MOST_RUNS:
+        raise ValueError(f"[{name}] {count_runs(table)} runs: must be <= {MOST_RUNS}")
     return table
 
 
@@ -217,15 +224,15 @@ def _default_searches(case: Case) -> list[dict[str, Any]]:
 
 
 @functools.lru_cache(maxsize=2)
-def build(text: str) -> Plan:
+def build(text: str) -> TuningPlan:
     """The plan of a configuration. Raises ValueError for one of another version."""
     table = tomllib.loads(text)
     for name, version in (("jaxstage", __version__), ("jax", jax.__version__)):
         if table[name] != version:
             raise ValueError(f"this was tuned with {name} {table[name]}, here is {version}")
     case = case_of(table["case"], table["blocks"])
-    columns = available(case)
-    return Plan(
+    columns = available_columns(case)
+    return TuningPlan(
         text=text,
         table=table,
         case=case,
@@ -235,34 +242,34 @@ def build(text: str) -> Plan:
     )
 
 
-def runs_of(plan: Plan, name: str) -> list[Series]:
+def runs_of(plan: TuningPlan, name: str) -> list[RunSet]:
     """The runs of a set: ``train`` or ``held_out``."""
-    return series(plan.table[name], plan.blocks)
+    return run_sets(plan.table[name], plan.blocks)
 
 
-def fresh_runs(plan: Plan) -> list[Series]:
+def fresh_runs(plan: TuningPlan) -> list[RunSet]:
     """Training runs on other plants: what progress is shown on, and used for nothing."""
-    return series(_other_plants(plan, FRESH_SEED), plan.blocks)
+    return run_sets(_other_plants(plan, FRESH_SEED), plan.blocks)
 
 
-def pool(plan: Plan, number: int) -> list[Series]:
+def pool(plan: TuningPlan, number: int) -> list[RunSet]:
     """Training runs on `POOL` plants among which the worst are looked for. number: of the pool."""
     table = _other_plants(plan, POOL_SEED + number)
-    return series({**table, "plants": POOL, "nominal": False, "noise_seeds": 1}, plan.blocks)
+    return run_sets({**table, "plants": POOL, "nominal": False, "noise_seeds": 1}, plan.blocks)
 
 
-def validation(plan: Plan) -> dict[str, Any]:
+def validation_table(plan: TuningPlan) -> dict[str, Any]:
     """The table of training runs on other plants, at least `VALIDATION` of them."""
     table = _other_plants(plan, VALIDATION_SEED)
     return {**table, "plants": max(VALIDATION, table["plants"]), "noise_seeds": 1}
 
 
-def _other_plants(plan: Plan, apart: int) -> dict[str, Any]:
+def _other_plants(plan: TuningPlan, refuse_overlap: int) -> dict[str, Any]:
     train = plan.table["train"]
-    return {**train, "seed": (train["seed"] + apart) % 2**32}
+    return {**train, "seed": (train["seed"] + refuse_overlap) % 2**32}
 
 
-def groups_of(plan: Plan, every: list[Series], surrogate: str = NONE) -> list[Group]:
+def groups_of(plan: TuningPlan, every: list[RunSet], surrogate: str = NONE) -> list[RunGroup]:
     """Runs as `make_problem` takes them, with the stability margin that was asked for.
 
     surrogate: of `SURROGATES`, in place of the exact machine.
@@ -275,7 +282,7 @@ def groups_of(plan: Plan, every: list[Series], surrogate: str = NONE) -> list[Gr
 
 
 def problem_of(
-    plan: Plan, groups: list[Group], like: Problem | None = None, width: int = WIDTH
+    plan: TuningPlan, groups: list[RunGroup], like: Problem | None = None, width: int = WIDTH
 ) -> Problem:
     """The tuning problem on some training runs.
 

@@ -13,13 +13,13 @@ import numpy as np
 
 from jaxstage.metrics.table import key
 from jaxstage.model.settings import nearest_name
-from tuning.tuner.configuration import Plan
+from tuning.tuner.configuration import TuningPlan
 from tuning.tuner.problem.objective import RISKS, Term
 from tuning.tuner.problem.problem import Evaluation, Problem, evaluate, make_problem, with_weights
-from tuning.tuner.problem.training_metrics import available
+from tuning.tuner.problem.training_metrics import available_columns
 from tuning.tuner.search.optimise import METHODS, tune
 from tuning.tuner.search.pareto_front import hypervolume, knee, non_dominated, weights
-from tuning.tuner.session import Outcome, journal
+from tuning.tuner.session import TuningResult, log_folder
 
 #: parts of an edge of the weights: 10 weightings of three figures
 STEPS = 3
@@ -44,14 +44,14 @@ class Front(NamedTuple):
     reference: np.ndarray
     volume: float
     gains: tuple[Any, ...]
-    units: float
+    simulations: float
     note: str
 
 
-def trade_off_columns(plan: Plan) -> tuple[str, ...]:
+def trade_off_columns(plan: TuningPlan) -> tuple[str, ...]:
     """Contour error (of one axis following error), energy, chattering. Raises ValueError where the
     loop lacks one."""
-    known = available(plan.case)
+    known = available_columns(plan.case)
     unit = plan.case.loop.plant.command_unit
     error = "contour_rms_um" if "contour_rms_um" in known else "following_rms_um"
     wanted = (error, "energy_J", key("chattering", unit))
@@ -61,7 +61,7 @@ def trade_off_columns(plan: Plan) -> tuple[str, ...]:
     return wanted
 
 
-def pareto(outcome: Outcome, budget: float, folder: Path | None) -> Front:
+def pareto(outcome: TuningResult, budget: float, folder: Path | None) -> Front:
     """The trade-offs around tuned gains. budget: units for all weightings together."""
     plan, problem, tuned = outcome.plan, outcome.exact, outcome.tuned
     columns = trade_off_columns(plan)
@@ -71,9 +71,13 @@ def pareto(outcome: Outcome, budget: float, folder: Path | None) -> Front:
     begun = np.repeat(outcome.chosen.z[None], len(shares), axis=0)
     made = METHODS.get(plan.table["method"], METHODS["lm" if tuned.n <= 30 else "lbfgs"])
     found = tune(
-        with_weights(every, shares), made(), begun, plan.table["seed"], budget,
-        journal=journal(folder, "pareto"),
-    )  # fmt: skip
+        with_weights(every, shares),
+        made(),
+        begun,
+        plan.table["seed"],
+        budget,
+        log_folder=log_folder(folder, "pareto"),
+    )
     z = np.stack([outcome.chosen.z, *(start.z for start in found.starts)])
     points = _means(evaluate(every, z), columns)
     before = _means(evaluate(every, problem.space.start()[None]), columns)[0]
@@ -91,12 +95,12 @@ def pareto(outcome: Outcome, budget: float, folder: Path | None) -> Front:
         reference=reference,
         volume=hypervolume(points, reference) / float(np.prod(reference - ideal)),
         gains=tuple(problem.space.gains_of(jnp.asarray(one)) for one in z),
-        units=found.units,
+        simulations=found.simulations,
         note=found.note,
     )
 
 
-def _problem(plan: Plan, problem: Problem, columns: tuple[str, ...]) -> Problem:
+def _problem(plan: TuningPlan, problem: Problem, columns: tuple[str, ...]) -> Problem:
     terms = [Term(name) for name in columns]
     risk = RISKS[plan.table["risk"]]()
     return make_problem(problem.space, problem.groups, terms, problem.goals, risk)

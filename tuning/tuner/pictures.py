@@ -15,40 +15,40 @@ from jaxstage.studies import Case, with_metric
 from jaxstage.studies.verdict import lost_because
 from jaxstage.system.files import write_text
 from tuning.store.work_folder import digest
-from tuning.tuner.baselines import Course, course
+from tuning.tuner.baselines import ConvergenceCurve, convergence_curve
 from tuning.tuner.pareto import Front
 from tuning.tuner.problem.search_space import parameters
 from tuning.tuner.problem.transforms import logarithmic
 from tuning.tuner.report import Extras, verdict_text
-from tuning.tuner.session import Outcome
+from tuning.tuner.session import TuningResult
 
 
-class Pair(NamedTuple):
+class BeforeAfter(NamedTuple):
     """The loop as it stands, with the gains before and after: cases and their runs."""
 
     before: Case
     after: Case
     runs: tuple[Run, Run]
 
-    def figures(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def metrics(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """The scored figures of both."""
         plant = self.before.loop.plant
         first, second = (columns(run.report["scored"], plant) for run in self.runs)
         return first, second
 
 
-def simulate_pair(case: Case, before: Any, after: Any, recorded: bool) -> Pair:
+def simulate_before_after(case: Case, before: Any, after: Any, recorded: bool) -> BeforeAfter:
     """The loop itself under both gains. recorded: every tick, for pictures."""
     kept = (record,) if recorded else ()
     cases = [case._replace(gains=gains) for gains in (before, after)]
     runs = [with_metric(c, together(c.loop.metric, *kept)).simulate() for c in cases]
-    return Pair(cases[0], cases[1], (runs[0], runs[1]))
+    return BeforeAfter(cases[0], cases[1], (runs[0], runs[1]))
 
 
-def pictures(folder: Path, outcome: Outcome, extras: Extras, pair: Pair) -> list[Path]:
+def pictures(folder: Path, outcome: TuningResult, extras: Extras, pair: BeforeAfter) -> list[Path]:
     """Draw all that applies; returns the files. pair: recorded."""
     footer = _footer(outcome)
-    own = course(outcome.rounds[-1].tuned)
+    own = convergence_curve(outcome.rounds[-1].tuned)
     drawn = {
         "error": tuning.before_after(*_views(pair)),
         "history": tuning.history(_traces([own]), footer),
@@ -56,7 +56,7 @@ def pictures(folder: Path, outcome: Outcome, extras: Extras, pair: Pair) -> list
         "held-out": _held_out(outcome, footer),
     }
     if extras.baselines:
-        first = course(outcome.rounds[0].tuned)
+        first = convergence_curve(outcome.rounds[0].tuned)
         drawn["baseline"] = tuning.history(_traces([first, *extras.baselines]), footer)
     if extras.front is not None:
         drawn["pareto"] = _front(extras.front, footer)
@@ -67,12 +67,13 @@ def pictures(folder: Path, outcome: Outcome, extras: Extras, pair: Pair) -> list
     return files
 
 
-def _footer(outcome: Outcome) -> str:
+def _footer(outcome: TuningResult) -> str:
     table = outcome.plan.table
     return "   |   ".join(
         (
             table["loop"],
-            f"{outcome.tuned.method}, {outcome.tuned.n} parameters, {outcome.units:.0f} units",
+            f"{outcome.tuned.method}, {outcome.tuned.n} parameters, "
+            f"{outcome.simulations:.0f} units",
             f"objective {table['objective']}",
             f"{outcome.problem.runs} training runs, seed {table['seed']}",
             "accepted" if not outcome.refused else f"NOT accepted: {outcome.refused[0]}",
@@ -82,7 +83,7 @@ def _footer(outcome: Outcome) -> str:
     )
 
 
-def _views(pair: Pair) -> list[Any]:
+def _views(pair: BeforeAfter) -> list[Any]:
     found = []
     for case, run in zip((pair.before, pair.after), pair.runs, strict=True):
         left = int(run.final.left_path_at)
@@ -91,30 +92,35 @@ def _views(pair: Pair) -> list[Any]:
     return found
 
 
-def _traces(courses: list[Course]) -> list[tuning.Trace]:
+def _traces(courses: list[ConvergenceCurve]) -> list[tuning.Trace]:
     return [tuning.Trace(*one) for one in courses]
 
 
-def _moved(outcome: Outcome) -> list[tuning.Moved]:
+def _moved(outcome: TuningResult) -> list[tuning.Moved]:
     space = outcome.problem.space
     logs = {entry.path: entry.transform == logarithmic for entry in space.entries}
     return [
         tuning.Moved(
-            f"{p.label.removeprefix('gains.')} ({p.unit})", p.before, p.value, p.low, p.high,
-            logs[p.path], p.at_bound,
+            f"{p.label.removeprefix('gains.')} ({p.unit})",
+            p.before,
+            p.value,
+            p.low,
+            p.high,
+            logs[p.path],
+            p.at_bound,
         )
         for p in parameters(space, outcome.chosen.z)
-    ]  # fmt: skip
+    ]
 
 
-def _held_out(outcome: Outcome, footer: str) -> sweep.Figure:
-    judged, found = outcome.judged, outcome.held_out
-    name, unit = split_key(found.figure)
+def _held_out(outcome: TuningResult, footer: str) -> sweep.Figure:
+    pairs, found = outcome.pairs, outcome.held_out
+    name, unit = split_key(found.metric)
     shown = f"{name} ({unit.replace('um', 'µm')})" if unit else name
     sheet = sweep.Sheet(shown, None, footer)
     samples = [
         sweep.Sample(label, values, None)
-        for label, values in (("after", judged.after), ("before", judged.before))
+        for label, values in (("after", pairs.after), ("before", pairs.before))
     ]
     text = f"Each dot is one held-out plant under both gains: {verdict_text(found)}."
     return sweep.versus(samples[0], samples[1], text, sheet)
@@ -124,12 +130,10 @@ def _front(front: Front, footer: str) -> sweep.Figure:
     labels = [
         f"{name} ({unit.replace('um', 'µm')})" for name, unit in map(split_key, front.columns)
     ]
-    return tuning.front(
-        front.points, front.kept, front.suggested, front.before, labels, footer
-    )  # fmt: skip
+    return tuning.front(front.points, front.kept, front.suggested, front.before, labels, footer)
 
 
-def rule_pictures(pair: Pair) -> dict[str, sweep.Figure]:
+def rule_pictures(pair: BeforeAfter) -> dict[str, sweep.Figure]:
     """What fuzzy rules infer, before and after."""
     drawn = {}
     for case, when in ((pair.before, "before"), (pair.after, "after")):
@@ -142,7 +146,7 @@ def rule_pictures(pair: Pair) -> dict[str, sweep.Figure]:
     return drawn
 
 
-def rules_text(pair: Pair) -> str | None:
+def rules_text(pair: BeforeAfter) -> str | None:
     """The fuzzy rules before and after tuning as tables, None for a law without any."""
     told = [
         readable(case.gains, run.final.memory)
@@ -153,7 +157,7 @@ def rules_text(pair: Pair) -> str | None:
     return f"BEFORE TUNING\n\n{told[0]}\n\nAFTER TUNING\n\n{told[1]}"
 
 
-def write_rules(folder: Path, pair: Pair) -> None:
+def write_rules(folder: Path, pair: BeforeAfter) -> None:
     """rules.txt, where the law has fuzzy rules."""
     text = rules_text(pair)
     if text is not None:

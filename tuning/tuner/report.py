@@ -15,11 +15,11 @@ from jaxstage.metrics.table import split_key
 from jaxstage.system.files import write_text
 from tuning.store.gains_file import TunedGain, to_text
 from tuning.store.work_folder import digest
-from tuning.tuner.baselines import Course, course
-from tuning.tuner.evidence.validation import HeldOut, Trial
+from tuning.tuner.baselines import ConvergenceCurve, convergence_curve
+from tuning.tuner.evidence.validation import HeldOut, ValidationRuns
 from tuning.tuner.pareto import Front
 from tuning.tuner.problem.search_space import parameters
-from tuning.tuner.session import Outcome
+from tuning.tuner.session import TuningResult
 from tuning.uncertainty.statistics import Interval
 
 #: the files of tuned gains: accepted ones, and those that were refused
@@ -31,20 +31,20 @@ class Extras(NamedTuple):
 
     before: dict[str, Any]
     after: dict[str, Any]
-    baselines: tuple[Course, ...] = ()
+    baselines: tuple[ConvergenceCurve, ...] = ()
     front: Front | None = None
 
 
-def as_object(outcome: Outcome, extras: Extras) -> dict[str, Any]:
+def as_object(outcome: TuningResult, extras: Extras) -> dict[str, Any]:
     """What ``--json`` prints and tune.json holds. What cannot be said is None."""
-    tuned, objective = outcome.tuned, outcome.chosen.trials.exact.objective
+    tuned, objective = outcome.tuned, outcome.chosen.validation.exact.objective
     return {
         "loop": outcome.plan.table["loop"],
         "version": __version__,
         "configuration_sha256": digest(outcome.plan.text),
         "method": tuned.method,
         "n": tuned.n,
-        "units": rounded(outcome.units),
+        "units": rounded(outcome.simulations),
         "seconds": rounded(outcome.seconds),
         "ended": tuned.ended,
         "objective": outcome.plan.table["objective"],
@@ -77,7 +77,7 @@ def _interval(found: Interval | None) -> dict[str, float | None] | None:
 def held_out_object(found: HeldOut) -> dict[str, Any]:
     """The verdict of the held-out runs."""
     return {
-        "figure": found.figure,
+        "figure": found.metric,
         "runs": found.runs,
         "before": _interval(found.before),
         "after": _interval(found.after),
@@ -89,28 +89,35 @@ def held_out_object(found: HeldOut) -> dict[str, Any]:
     }
 
 
-def gains_object(outcome: Outcome) -> dict[str, Any]:
+def gains_object(outcome: TuningResult) -> dict[str, Any]:
     """Label -> value, before, range and unit of every number that was tuned."""
     return {
         p.label: {
-            "value": p.value, "before": p.before, "low": number(p.low), "high": number(p.high),
-            "unit": p.unit, "symbol": p.symbol, "at_bound": p.at_bound,
+            "value": p.value,
+            "before": p.before,
+            "low": number(p.low),
+            "high": number(p.high),
+            "unit": p.unit,
+            "symbol": p.symbol,
+            "at_bound": p.at_bound,
         }
         for p in parameters(outcome.problem.space, outcome.chosen.z)
-    }  # fmt: skip
+    }
 
 
-def _trial(found: Trial) -> dict[str, Any]:
+def _validation_runs(found: ValidationRuns) -> dict[str, Any]:
     return {
-        "before": number(found.figure[0]), "after": number(found.figure[1]),
+        "before": number(found.metric[0]),
+        "after": number(found.metric[1]),
         "objective_before": number(found.objective[0]),
-        "objective_after": number(found.objective[1]), "lost": found.lost,
-    }  # fmt: skip
+        "objective_after": number(found.objective[1]),
+        "lost": found.lost,
+    }
 
 
-def diagnostics_object(outcome: Outcome) -> dict[str, Any]:
+def diagnostics_object(outcome: TuningResult) -> dict[str, Any]:
     """What the result rests on."""
-    found, trials = outcome.diagnostics, outcome.chosen.trials
+    found, validation = outcome.diagnostics, outcome.chosen.validation
     effects = found.effects
     return {
         "gradient_ok": found.gradient_ok,
@@ -129,24 +136,28 @@ def diagnostics_object(outcome: Outcome) -> dict[str, Any]:
         if outcome.surrogate
         else None,
         "share": outcome.chosen.share,
-        "exact": _trial(trials.exact),
-        "half_step": _trial(trials.half_step),
-        "longer": _trial(trials.longer),
+        "exact": _validation_runs(validation.exact),
+        "half_step": _validation_runs(validation.half_step),
+        "longer": _validation_runs(validation.longer),
         "rounds": [
-            {"added": list(one.added), "units": rounded(one.tuned.units),
-             "before": number(one.tuned.before), "after": number(one.tuned.after)}
+            {
+                "added": list(one.added),
+                "units": rounded(one.tuned.simulations),
+                "before": number(one.tuned.before),
+                "after": number(one.tuned.after),
+            }
             for one in outcome.rounds
         ],
         "notes": list(found.notes),
-    }  # fmt: skip
+    }
 
 
-def baseline_object(found: Course, outcome: Outcome) -> dict[str, Any]:
+def baseline_object(found: ConvergenceCurve, outcome: TuningResult) -> dict[str, Any]:
     """A method beside the one that tuned: where it ended, and when it was where that one ended."""
-    best = course(outcome.rounds[0].tuned).best[-1]
+    best = convergence_curve(outcome.rounds[0].tuned).best[-1]
     return {
         "method": found.method,
-        "units": rounded(found.units[-1]),
+        "units": rounded(found.simulations[-1]),
         "objective": number(found.best[-1]),
         "units_to_same": found.reached(float(best)),
     }
@@ -163,8 +174,12 @@ def front_object(front: Front | None) -> dict[str, Any] | None:
     return {
         "columns": list(front.columns),
         "points": [
-            {"figures": row(point), "weights": row(share), "on_front": bool(kept),
-             "suggested": index == front.suggested}
+            {
+                "figures": row(point),
+                "weights": row(share),
+                "on_front": bool(kept),
+                "suggested": index == front.suggested,
+            }
             for index, (point, share, kept) in enumerate(
                 zip(front.points, front.weights, front.kept, strict=True)
             )
@@ -172,15 +187,17 @@ def front_object(front: Front | None) -> dict[str, Any] | None:
         "before": row(front.before),
         "hypervolume": number(front.volume),
         "reference": row(front.reference),
-        "units": rounded(front.units),
+        "units": rounded(front.simulations),
         "note": front.note or None,
-    }  # fmt: skip
+    }
 
 
 # --- files -------------------------------------------------------------------------------------
 
 
-def write_files(folder: Path, outcome: Outcome, extras: Extras, answer: dict[str, Any]) -> None:
+def write_files(
+    folder: Path, outcome: TuningResult, extras: Extras, answer: dict[str, Any]
+) -> None:
     """tune.json, the gains, history.csv and, where asked for, baseline.csv and pareto/."""
     write_text(folder / "tune.json", json.dumps(answer, indent=2, allow_nan=False) + "\n")
     name, other = (REFUSED, ACCEPTED) if outcome.refused else (ACCEPTED, REFUSED)
@@ -193,11 +210,11 @@ def write_files(folder: Path, outcome: Outcome, extras: Extras, answer: dict[str
         write_front(folder / "pareto", outcome, extras.front)
 
 
-def _courses(outcome: Outcome, extras: Extras) -> tuple[Course, ...]:
-    return (course(outcome.rounds[0].tuned), *extras.baselines)
+def _courses(outcome: TuningResult, extras: Extras) -> tuple[ConvergenceCurve, ...]:
+    return (convergence_curve(outcome.rounds[0].tuned), *extras.baselines)
 
 
-def gains_text(outcome: Outcome, gains: Any = None, remark: str = "") -> str:
+def gains_text(outcome: TuningResult, gains: Any = None, remark: str = "") -> str:
     """The file of gains: all values, and of the tuned ones unit, range and value before."""
     verdict = [f"NOT accepted: {reason}" for reason in outcome.refused]
     verdict = verdict or [f"held out: {verdict_text(outcome.held_out)}"]
@@ -218,7 +235,7 @@ def verdict_text(found: HeldOut) -> str:
     """The verdict of the held-out runs in words."""
     if not (found.before and found.after and found.change):
         return f"{found.lost} of {found.runs} runs are lost, too few are left to compare"
-    name, unit = split_key(found.figure)
+    name, unit = split_key(found.metric)
     change = found.change
     return (
         f"{name} {found.before.value:.4g} -> {found.after.value:.4g} {unit}, "
@@ -227,10 +244,10 @@ def verdict_text(found: HeldOut) -> str:
     )
 
 
-def history_text(outcome: Outcome) -> str:
+def history_text(outcome: TuningResult) -> str:
     """One row a step of every round."""
     rows = [
-        (number_, p.step, p.units, p.seconds, p.best, p.gradient_norm, p.violation)
+        (number_, p.step, p.simulations, p.seconds, p.best, p.gradient_norm, p.violation)
         for number_, one in enumerate(outcome.rounds)
         for p in one.tuned.history
     ]
@@ -238,15 +255,17 @@ def history_text(outcome: Outcome) -> str:
     return _csv(head, rows)
 
 
-def courses_text(courses: Sequence[Course]) -> str:
+def courses_text(courses: Sequence[ConvergenceCurve]) -> str:
     """Best objective against units of every method."""
     rows = [
-        (one.method, units, best) for one in courses for units, best in zip(*one[1:3], strict=True)
+        (one.method, simulations, best)
+        for one in courses
+        for simulations, best in zip(*one[1:3], strict=True)
     ]
     return _csv(("method", "units", "objective"), rows)
 
 
-def write_front(folder: Path, outcome: Outcome, front: Front) -> None:
+def write_front(folder: Path, outcome: TuningResult, front: Front) -> None:
     """pareto.csv, and the gains of every point as TOML."""
     folder.mkdir(exist_ok=True)
     head = (

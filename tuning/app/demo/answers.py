@@ -16,7 +16,7 @@ from tuning.app.reports import tuned
 from tuning.store.work_folder import digest
 from tuning.sweeps import store
 from tuning.sweeps.configuration import build
-from tuning.tuner.evidence.validation import Judged, held_out_verdict
+from tuning.tuner.evidence.validation import PairedRuns, held_out_verdict
 from tuning.tuner.report import held_out_object
 
 Found = Mapping[str, Any]
@@ -71,7 +71,7 @@ def _read(file: Path) -> Any:
 
 def _loop(folder: Path, loop: str, figures: Swept) -> dict[str, Any]:
     tuning = _read(folder / "tune" / loop / "tune.json")
-    judged = Judged(stages.METRIC, figures.published, figures.tuned, {})
+    pairs = PairedRuns(stages.METRIC, figures.published, figures.tuned, {})
     return {
         "loop": loop,
         "accepted": tuning["accepted"],
@@ -81,7 +81,7 @@ def _loop(folder: Path, loop: str, figures: Swept) -> dict[str, Any]:
         "units": tuning["units"],
         "before": tuning["before"]["figures"],
         "after": tuning["after"]["figures"],
-        "plants": held_out_object(held_out_verdict(judged)),
+        "plants": held_out_object(held_out_verdict(pairs)),
         "gains": str(stages.gains_file(folder, loop).relative_to(folder)),
     }
 

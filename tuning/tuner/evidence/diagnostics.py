@@ -10,9 +10,9 @@ import numpy as np
 
 from jaxstage.simulate.stability import spectral_radius, transition
 from jaxstage.studies import Case
-from tuning.tuner.problem.problem import Problem, curvatures
+from tuning.tuner.problem.problem import Problem, gauss_newton_model
 from tuning.tuner.problem.search_space import parameters
-from tuning.tuner.search.optimise import Tuned
+from tuning.tuner.search.optimise import SearchResult
 
 #: a parameter whose move by one unit (about a factor e) changes the objective by less than this
 #: share has no effect
@@ -75,7 +75,7 @@ def effects(
     return Effects(idle, tuple(groups), every)
 
 
-def diagnose(problem: Problem, tuned: Tuned, z: np.ndarray, case: Case) -> Diagnostics:
+def diagnose(problem: Problem, tuned: SearchResult, z: np.ndarray, case: Case) -> Diagnostics:
     """Diagnostics of a result. z: the gains chosen. case: the nominal loop."""
     notes = [tuned.note] if tuned.note else []
     check = tuned.check
@@ -86,7 +86,7 @@ def diagnose(problem: Problem, tuned: Tuned, z: np.ndarray, case: Case) -> Diagn
         notes.append(f"no Gauss-Newton matrix of {tuned.n} parameters: it would cost too much")
     else:
         every = np.repeat(z[None], len(tuned.starts), axis=0)  # as in training: compiled already
-        curved = curvatures(problem, every)
+        curved = gauss_newton_model(problem, every)
         numbers = (curved.gauss_newton[0], curved.gradient[0], float(curved.objective[0]))
         if all(np.isfinite(np.asarray(x)).all() for x in numbers):
             found = effects(*numbers, problem.space.labels)

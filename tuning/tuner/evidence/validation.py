@@ -14,8 +14,8 @@ from jaxstage.metrics import selected
 from jaxstage.simulate.batch import rollouts
 from jaxstage.studies import Case, Timing, with_metric
 from jaxstage.studies.case import scored
-from tuning.tuner.problem.scenario_set import Series, series
-from tuning.tuner.problem.training_metrics import available
+from tuning.tuner.problem.scenario_set import RunSet, run_sets
+from tuning.tuner.problem.training_metrics import available_columns
 from tuning.uncertainty.figure_table import figure_columns, flag_columns
 from tuning.uncertainty.statistics import Interval, Share, bootstrap, share
 from tuning.uncertainty.uncertain_space import batch
@@ -32,13 +32,13 @@ GROWTH_LIMIT = 2.0
 LONGER = 4
 
 
-class Judged(NamedTuple):
+class PairedRuns(NamedTuple):
     """A figure of runs under the gains before and after, (runs,) each, NaN where a run was lost.
 
     columns: every figure, name -> (2, runs).
     """
 
-    figure: str
+    metric: str
     before: np.ndarray
     after: np.ndarray
     columns: dict[str, np.ndarray]
@@ -48,7 +48,7 @@ class Judged(NamedTuple):
         return int(np.isnan(self.before).sum()), int(np.isnan(self.after).sum())
 
 
-def figures(every: Sequence[Series], gains: Sequence[Any]) -> dict[str, np.ndarray]:
+def simulate_metrics(every: Sequence[RunSet], gains: Sequence[Any]) -> dict[str, np.ndarray]:
     """Columns (gains, runs) of all series under each of some gains, and the flags of the runs.
 
     A column that not all series have is left out.
@@ -58,15 +58,15 @@ def figures(every: Sequence[Series], gains: Sequence[Any]) -> dict[str, np.ndarr
     return {name: np.concatenate([table[name] for table in tables], axis=1) for name in names}
 
 
-def light(case: Case, figure: str) -> Case:
+def with_light_metric(case: Case, metric: str) -> Case:
     """The case with the metrics of `KEPT` and that of a figure, over its scored part."""
-    known = available(case)
-    wanted = {*KEPT, known.get(figure)} - {""}
+    known = available_columns(case)
+    wanted = {*KEPT, known.get(metric)} - {""}
     names = dict.fromkeys(name for name in known.values() if name in wanted)
     return with_metric(case, scored(selected(case.metric, tuple(names)), case.window))
 
 
-def _simulated(one: Series, gains: Sequence[Any]) -> dict[str, np.ndarray]:
+def _simulated(one: RunSet, gains: Sequence[Any]) -> dict[str, np.ndarray]:
     runs, count = len(one.labels), len(gains)
     values = {path: np.concatenate([value] * count) for path, value in one.values.items()}
     drawn = batch(one.case, values, np.concatenate([one.seeds] * count))
@@ -76,50 +76,55 @@ def _simulated(one: Series, gains: Sequence[Any]) -> dict[str, np.ndarray]:
     )
     case = one.case
     run = rollouts(
-        case.loop, stacked, drawn.scenario, drawn.path, case.window.ticks,
-        in_axes=(0, *drawn.in_axes[1:]), memory=MEMORY,
-    )  # fmt: skip
+        case.loop,
+        stacked,
+        drawn.scenario,
+        drawn.path,
+        case.window.ticks,
+        in_axes=(0, *drawn.in_axes[1:]),
+        memory=MEMORY,
+    )
     columns = figure_columns(run.report, case.loop.plant) | flag_columns(run, case.loop.dt)
     return {name: column.reshape(count, runs) for name, column in columns.items()}
 
 
-def column_of(columns: Mapping[str, np.ndarray], figure: str, axes: Sequence[str]) -> np.ndarray:
+def column_of(columns: Mapping[str, np.ndarray], metric: str, axes: Sequence[str]) -> np.ndarray:
     """A figure by its column; one that is given per axis, by its bare name, as RMS over the axes.
 
     Raises ValueError for an unknown one.
     """
-    if figure in columns:
-        return columns[figure]
-    found = [columns[name] for axis in axes if (name := _per_axis(columns, figure, axis))]
+    if metric in columns:
+        return columns[metric]
+    found = [columns[name] for axis in axes if (name := _per_axis(columns, metric, axis))]
     if not found:
-        raise ValueError(f"the runs have no figure {figure}")
+        raise ValueError(f"the runs have no figure {metric}")
     return np.sqrt(np.mean(np.square(found), axis=0))
 
 
-def _per_axis(columns: Mapping[str, np.ndarray], figure: str, axis: str) -> str:
+def _per_axis(columns: Mapping[str, np.ndarray], metric: str, axis: str) -> str:
     """The column of one axis of a figure: ``following_rms_um`` -> ``following_rms_x_um``."""
-    return next((n for n in columns if n.replace(f"_{axis}", "", 1) == figure and n != figure), "")
+    return next((n for n in columns if n.replace(f"_{axis}", "", 1) == metric and n != metric), "")
 
 
-def has_column(columns: Mapping[str, Any], figure: str, axes: Sequence[str]) -> bool:
+def has_column(columns: Mapping[str, Any], metric: str, axes: Sequence[str]) -> bool:
     """Whether `column_of` finds a figure."""
-    return figure in columns or any(_per_axis(columns, figure, axis) for axis in axes)
+    return metric in columns or any(_per_axis(columns, metric, axis) for axis in axes)
 
 
-def judge(every: Sequence[Series], before: Any, after: Any, figure: str) -> Judged:
+def simulate_pairs(every: Sequence[RunSet], before: Any, after: Any, metric: str) -> PairedRuns:
     """Both gains on the same runs. columns: those of `KEPT`, and the figure."""
-    every = [one._replace(case=light(one.case, figure)) for one in every]
-    columns = figures(every, [before, after])
-    values = column_of(columns, figure, every[0].case.loop.plant.axes)
-    return Judged(figure, values[0], values[1], columns)
+    every = [one._replace(case=with_light_metric(one.case, metric)) for one in every]
+    columns = simulate_metrics(every, [before, after])
+    values = column_of(columns, metric, every[0].case.loop.plant.axes)
+    return PairedRuns(metric, values[0], values[1], columns)
 
 
-def half_step(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[Series]:
+def half_step(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[RunSet]:
     """The runs of a set with half the step of the integration, controllers as often as before."""
     return _retimed(table, blocks, lambda timing: {"substeps": 2 * timing.substeps})
 
 
-def prolonged(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[Series]:
+def prolonged(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[RunSet]:
     """The runs of a set, `LONGER` times as long."""
 
     def longer(timing: Timing) -> dict[str, Any]:
@@ -131,14 +136,15 @@ def prolonged(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[Serie
 
 
 def _retimed(
-    table: Mapping[str, Any], blocks: Mapping[str, Any],
+    table: Mapping[str, Any],
+    blocks: Mapping[str, Any],
     change: Callable[[Timing], dict[str, Any]],
-) -> list[Series]:  # fmt: skip
+) -> list[RunSet]:
     cases = [
         {**case, "timing": case["timing"] | change(Timing(**case["timing"]))}
         for case in table["case"]
     ]
-    return series({**table, "case": cases}, blocks)
+    return run_sets({**table, "case": cases}, blocks)
 
 
 class HeldOut(NamedTuple):
@@ -146,7 +152,7 @@ class HeldOut(NamedTuple):
     relative change, each with its bootstrap interval, and on how many runs the gains after are
     better (a lost run loses)."""
 
-    figure: str
+    metric: str
     runs: int
     before: Interval | None
     after: Interval | None
@@ -157,23 +163,23 @@ class HeldOut(NamedTuple):
     others: dict[str, tuple[float | None, float | None]]
 
 
-def held_out_verdict(judged: Judged) -> HeldOut:
+def held_out_verdict(pairs: PairedRuns) -> HeldOut:
     """The verdict on held-out runs."""
-    both = np.isfinite(judged.before) & np.isfinite(judged.after)
-    before, after = judged.before[both], judged.after[both]
-    lost_before, lost = judged.lost()
-    ranked = [np.where(np.isnan(x), np.inf, x) for x in (judged.before, judged.after)]
+    both = np.isfinite(pairs.before) & np.isfinite(pairs.after)
+    before, after = pairs.before[both], pairs.after[both]
+    lost_before, lost = pairs.lost()
+    ranked = [np.where(np.isnan(x), np.inf, x) for x in (pairs.before, pairs.after)]
     enough = len(before) > 1
     return HeldOut(
-        figure=judged.figure,
-        runs=len(judged.before),
+        metric=pairs.metric,
+        runs=len(pairs.before),
         before=bootstrap(before, np.mean) if enough else None,
         after=bootstrap(after, np.mean) if enough else None,
         change=_change(before, after) if enough else None,
         lost_before=lost_before,
         lost=lost,
-        better=share(int(np.sum(ranked[1] < ranked[0])), len(judged.before)),
-        others=_others(judged.columns, both),
+        better=share(int(np.sum(ranked[1] < ranked[0])), len(pairs.before)),
+        others=_others(pairs.columns, both),
     )
 
 
@@ -202,32 +208,32 @@ def _others(
     }
 
 
-class Trial(NamedTuple):
+class ValidationRuns(NamedTuple):
     """The training runs, as they were or in another form: means of the figure and objective before
     and after, and the runs that the gains after lose."""
 
-    figure: tuple[float, float]
+    metric: tuple[float, float]
     objective: tuple[float, float]
     lost: int
 
 
-class Trials(NamedTuple):
+class Validation(NamedTuple):
     """Both gains on the exact model. exact: on the training runs. half_step: the same. longer: on
     other plants, `LONGER` times as long. missed: one line for each goal that the gains after do not
     meet in the training runs."""
 
-    exact: Trial
-    half_step: Trial
-    longer: Trial
+    exact: ValidationRuns
+    half_step: ValidationRuns
+    longer: ValidationRuns
     missed: tuple[str, ...]
 
 
-def refusals(found: Trials, held_out: HeldOut) -> tuple[str, ...]:
+def refusals(found: Validation, held_out: HeldOut) -> tuple[str, ...]:
     """Why the gains are not accepted, one line each; none: they are."""
-    return (*trial_refusals(found), *_held_out_refusals(held_out))
+    return (*validation_refusals(found), *_held_out_refusals(held_out))
 
 
-def trial_refusals(found: Trials) -> tuple[str, ...]:
+def validation_refusals(found: Validation) -> tuple[str, ...]:
     """What the training runs in their three forms say against the gains, one line each."""
     reasons = [*found.missed]
     before, after = found.exact.objective
@@ -237,7 +243,7 @@ def trial_refusals(found: Trials) -> tuple[str, ...]:
         reasons.append(
             f"the objective on the exact model did not fall: {before:.4g} before, {after:.4g} after"
         )
-    figure = found.exact.figure[1]
+    metric = found.exact.metric[1]
     far = f"{LONGER} times the time and other plants"
     for name, one in (("half the step", found.half_step), (far, found.longer)):
         if one.lost:
@@ -247,14 +253,14 @@ def trial_refusals(found: Trials) -> tuple[str, ...]:
                 f"with {name} the objective did not fall: {one.objective[0]:.4g} before, "
                 f"{one.objective[1]:.4g} after"
             )
-    half, longer = found.half_step.figure[1], found.longer.figure[1]
-    if abs(half - figure) > STEP_LIMIT * abs(figure):
+    half, longer = found.half_step.metric[1], found.longer.metric[1]
+    if abs(half - metric) > STEP_LIMIT * abs(metric):
         reasons.append(
-            f"with half the step the figure is {half:.4g} instead of {figure:.4g}: it depends on "
+            f"with half the step the figure is {half:.4g} instead of {metric:.4g}: it depends on "
             "the integration"
         )
-    if longer > GROWTH_LIMIT * abs(figure):
-        reasons.append(f"with {far} the figure grows from {figure:.4g} to {longer:.4g}")
+    if longer > GROWTH_LIMIT * abs(metric):
+        reasons.append(f"with {far} the figure grows from {metric:.4g} to {longer:.4g}")
     return tuple(reasons)
 
 
@@ -265,7 +271,7 @@ def _held_out_refusals(found: HeldOut) -> tuple[str, ...]:
         return ("too few held-out runs are left to compare",)
     if found.change.high >= 0:
         return (
-            f"{found.figure} on held-out plants: change {found.change.value:+.1%} "
+            f"{found.metric} on held-out plants: change {found.change.value:+.1%} "
             f"({found.change.low:+.1%}..{found.change.high:+.1%}) is not shown to be a gain",
         )
     return ()

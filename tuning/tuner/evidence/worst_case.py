@@ -4,29 +4,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tuning.tuner.evidence.validation import column_of, figures, light
-from tuning.tuner.problem.scenario_set import Series
+from tuning.tuner.evidence.validation import column_of, simulate_metrics, with_light_metric
+from tuning.tuner.problem.scenario_set import RunSet
 
 #: plants added to each contour in a round
 ADDED = 2
 
 
-class Found(NamedTuple):
+class WorstPlants(NamedTuple):
     """The worst plants of a pool. added: runs to train on. worst: the largest figure, inf where a
     run was lost. labels: of the plants."""
 
-    added: list[Series]
+    added: list[RunSet]
     worst: float
     labels: tuple[str, ...]
 
 
-def worst_plants(every: list[Series], gains: Any, figure: str) -> Found:
+def worst_plants(every: list[RunSet], gains: Any, metric: str) -> WorstPlants:
     """The `ADDED` runs of each series with the largest figure under some gains; a lost run is the
     worst, the earlier the worse."""
     added, largest, labels = [], 0.0, []
     for one in every:
-        columns = figures([one._replace(case=light(one.case, figure))], [gains])
-        values = column_of(columns, figure, one.case.loop.plant.axes)[0]
+        columns = simulate_metrics(
+            [one._replace(case=with_light_metric(one.case, metric))], [gains]
+        )
+        values = column_of(columns, metric, one.case.loop.plant.axes)[0]
         order = worst_of(values, columns["lost_at_s"][0], ADDED)
         added.append(
             one._replace(
@@ -37,7 +39,7 @@ def worst_plants(every: list[Series], gains: Any, figure: str) -> Found:
         )
         largest = max(largest, float(np.nan_to_num(values[order[0]], nan=np.inf)))
         labels += added[-1].labels
-    return Found(added, largest, tuple(labels))
+    return WorstPlants(added, largest, tuple(labels))
 
 
 def worst_of(values: np.ndarray, lost_at: np.ndarray, count: int) -> np.ndarray:

@@ -17,9 +17,9 @@ from jaxstage.model.fields import replace
 from jaxstage.model.settings import with_leaf
 from jaxstage.simulate.batch import rollouts, spread_axes
 from tuning.tuner.problem.objective import LOST, PULL, TIGHT, Goal, Risk, Term
-from tuning.tuner.problem.run_group import Group
+from tuning.tuner.problem.run_group import RunGroup
 from tuning.tuner.problem.search_space import SearchSpace
-from tuning.tuner.problem.training_metrics import Measured, Recipe, measure
+from tuning.tuner.problem.training_metrics import MetricColumns, TrainingMetric, metric_columns
 
 #: lanes that run together at most
 TILE = 128
@@ -27,17 +27,17 @@ TILE = 128
 MEMORY = 4e9
 
 
-class Programs(NamedTuple):
+class CompiledObjective(NamedTuple):
     """Functions of (z, weights, scales, penalty, data), whose results have the fields of
     `Evaluation`, `Slopes` and `Curvatures`; directional takes directions (d, n) after z."""
 
     evaluate: Callable[..., Any]
-    slopes: Callable[..., Any]
-    curvatures: Callable[..., Any]
+    value_and_grad: Callable[..., Any]
+    gauss_newton_model: Callable[..., Any]
     directional: Callable[..., Any]
 
 
-def _lanes(space: SearchSpace, group: Group, z: Array, scenario: Any, path: Any) -> Any:
+def _lanes(space: SearchSpace, group: RunGroup, z: Array, scenario: Any, path: Any) -> Any:
     """Arguments of `rollouts` for candidates z (m, n) in all runs of a group."""
     gains, axes = space.gains, jax.tree.map(lambda _: None, space.gains)
     for e in space.entries:
@@ -55,21 +55,19 @@ def _lanes(space: SearchSpace, group: Group, z: Array, scenario: Any, path: Any)
 class _Runs(NamedTuple):
     """Runs of a group: what they measure, and when they were lost, as a share, or NaN."""
 
-    measured: Measured
+    measured: MetricColumns
     lost: Array
 
 
 def _simulate(
-    space: SearchSpace, group: Group, made: Recipe, segment: int, z: Array, data: Any
+    space: SearchSpace, group: RunGroup, made: TrainingMetric, segment: int, z: Array, data: Any
 ) -> _Runs:
     case = group.case
     gains, scenario, path, axes = _lanes(space, group, z, *data)
     loop = replace(case.loop, metric=made.metric, segment=segment)
     ticks, lanes = case.window.ticks, len(z) * group.runs
     tile = min(TILE, -(-lanes // jax.local_device_count()))
-    run = rollouts(
-        loop, gains, scenario, path, ticks, in_axes=axes, tile=tile, memory=MEMORY
-    )  # fmt: skip
+    run = rollouts(loop, gains, scenario, path, ticks, in_axes=axes, tile=tile, memory=MEMORY)
     left, broken = run.final.left_path_at, run.final.non_finite_at
     at = jnp.where(left >= 0, left, broken)
     gone = at >= 0
@@ -80,10 +78,10 @@ def _simulate(
 
     report = jax.tree.map(present, run.report)
     share = jnp.where(gone, at / ticks, jnp.nan)
-    return _Runs(measure(case, made, report), share)
+    return _Runs(metric_columns(case, made, report), share)
 
 
-def _fast(space: SearchSpace, group: Group, z: Array) -> Array:
+def _fast(space: SearchSpace, group: RunGroup, z: Array) -> Array:
     """Control period over the longest that the law's own memory allows, (m,)."""
     limit = group.case.loop.controller.longest_period
 
@@ -108,8 +106,8 @@ class _Parts(NamedTuple):
     """What is fixed about the runs of a group. segment: ticks between checkpoints."""
 
     space: SearchSpace
-    group: Group
-    made: Recipe
+    group: RunGroup
+    made: TrainingMetric
     terms: tuple[Term, ...]
     goals: tuple[Goal, ...]
     segment: int
@@ -124,7 +122,7 @@ class _Numbers(NamedTuple):
 
 
 def _residuals(
-    parts: _Parts, z: Array, numbers: _Numbers, measured: Measured, violations: list[Array]
+    parts: _Parts, z: Array, numbers: _Numbers, measured: MetricColumns, violations: list[Array]
 ) -> Array:
     """All whose squares add up to the cost of a run, (m, runs, pieces)."""
     shape = (len(z), parts.group.runs)
@@ -164,10 +162,14 @@ def _costs(parts: _Parts, z: Array, numbers: _Numbers, data: Any) -> _Costs:
     )
 
 
-def make_programs(
-    space: SearchSpace, groups: tuple[Group, ...], made: tuple[Recipe, ...],
-    terms: tuple[Term, ...], goals: tuple[Goal, ...], risk: Risk,
-) -> Programs:  # fmt: skip
+def compile_objective(
+    space: SearchSpace,
+    groups: tuple[RunGroup, ...],
+    made: tuple[TrainingMetric, ...],
+    terms: tuple[Term, ...],
+    goals: tuple[Goal, ...],
+    risk: Risk,
+) -> CompiledObjective:
     """The programs of a problem; made: what the runs of each group compute."""
     pairs = list(zip(groups, made, strict=True))
     plain = [_Parts(space, group, one, terms, goals, 0) for group, one in pairs]
@@ -194,7 +196,7 @@ def make_programs(
         columns = jax.tree.map(_joined, *(c.columns for c in found))
         return jnp.sum(omega(every) * every, axis=1), every, violation, _joined(*lost), columns
 
-    def slopes(z: Array, *arguments: Any) -> tuple[Array, ...]:
+    def value_and_grad(z: Array, *arguments: Any) -> tuple[Array, ...]:
         def total(z: Array) -> tuple[Array, Any]:
             _, every, violation = costs(segmented, z, *arguments)
             objective = jnp.sum(omega(every) * every, axis=1)
@@ -218,7 +220,7 @@ def make_programs(
 
         return jax.vmap(along, out_axes=(0, None))(directions)
 
-    def curvatures(z: Array, *arguments: Any) -> tuple[Array, ...]:
+    def gauss_newton_model(z: Array, *arguments: Any) -> tuple[Array, ...]:
         directions = jnp.eye(z.shape[1], dtype=z.dtype)
         slope, (values, every, violation) = tangents(z, directions, *arguments)
         weight = omega(every)
@@ -241,7 +243,12 @@ def make_programs(
         each = [2 * jnp.sum(dr * r, axis=-1) for dr, r in zip(slope, values, strict=True)]
         return jnp.concatenate(each, axis=-1)
 
-    return Programs(jax.jit(evaluate), jax.jit(slopes), jax.jit(curvatures), jax.jit(directional))
+    return CompiledObjective(
+        jax.jit(evaluate),
+        jax.jit(value_and_grad),
+        jax.jit(gauss_newton_model),
+        jax.jit(directional),
+    )
 
 
 def _joined(*values: Any) -> Any:

@@ -43,7 +43,7 @@ import numpy as np
 
 from jaxstage.model.fields import leaves, replace
 from jaxstage.studies import Case, Timing, find, known_studies
-from tuning.tuner.problem.scenario_set import Contour, Wanted, widened
+from tuning.tuner.problem.scenario_set import ContourSpec, SetSpec, widened
 from tuning.uncertainty.scenario_file import ScenarioFile, read_scenario
 from tuning.uncertainty.uncertain_space import study_spreads
 
@@ -63,7 +63,7 @@ HELD_OUT_SEED = 1_000_001
 GLANCE = 200
 
 
-class Asked(NamedTuple):
+class LoopSpec(NamedTuple):
     """The loop whose gains are tuned, and what was said about it, as for ``jaxstage run``.
 
     spreads: what is uncertain, where a set says nothing of its own (`spreads_of`)."""
@@ -113,32 +113,41 @@ def _judged(own: Timing, changed: Timing) -> Timing:
     return replace(changed, scored=None, skip=skip)
 
 
-def default_training(asked: Asked, case: Case) -> Wanted:
+def default_training(loop_spec: LoopSpec, case: Case) -> SetSpec:
     """The nominal plant and `PLANTS` others on the contour of the loop, in a lap that fits, and at
     the loop's own speed on the one with the sharpest corners, if others are left to be held out.
     case: of the loop."""
     timing = shortened(case.timing)
     assert timing.duration is not None
-    contours = [Contour(asked.loop, (*asked.words, *_changed_words(case.timing, timing)))]
-    others = sisters(asked.loop, case.timing.dt, case.timing.substeps)
-    contours += [Contour(others[0], asked.words)] if len(others) > 1 else []
-    return Wanted(
+    contours = [
+        ContourSpec(loop_spec.loop, (*loop_spec.words, *_changed_words(case.timing, timing)))
+    ]
+    others = sisters(loop_spec.loop, case.timing.dt, case.timing.substeps)
+    contours += [ContourSpec(others[0], loop_spec.words)] if len(others) > 1 else []
+    return SetSpec(
         contours=tuple(contours),
-        plants=PLANTS, nominal=True, noise_seeds=1, seed=asked.seed, horizons=(timing.duration,),
-        skip=timing.skip, spreads=asked.spreads, correlations=asked.correlations, design="sobol",
-    )  # fmt: skip
+        plants=PLANTS,
+        nominal=True,
+        noise_seeds=1,
+        seed=loop_spec.seed,
+        horizons=(timing.duration,),
+        skip=timing.skip,
+        spreads=loop_spec.spreads,
+        correlations=loop_spec.correlations,
+        design="sobol",
+    )
 
 
 def _changed_words(own: Timing, timing: Timing) -> tuple[str, ...]:
     return (f"lap_time={timing.lap_time!r}",) if timing.lap_time != own.lap_time else ()
 
 
-def default_held_out(asked: Asked, case: Case) -> Wanted:
+def default_held_out(loop_spec: LoopSpec, case: Case) -> SetSpec:
     """`HELD_OUT` plants, on the contours of the law that are not trained on where there are any,
     else with the motion spread, too, at the loop's own lap time and `LONGER` times as long."""
     timing = longer(case.timing)
     assert timing.duration is not None
-    others = sisters(asked.loop, case.timing.dt, case.timing.substeps)
+    others = sisters(loop_spec.loop, case.timing.dt, case.timing.substeps)
     others = others[1:] if len(others) > 1 else others
     own = [
         {"path": path, "distribution": "uniform", "low": 1 - SPREAD, "high": 1 + SPREAD}
@@ -146,13 +155,19 @@ def default_held_out(asked: Asked, case: Case) -> Wanted:
         if quantity.role == "param" and np.all(np.asarray(value) != 0)
     ]
     motion = [] if others else own
-    spreads = (*asked.spreads, *motion)
-    return Wanted(
-        contours=tuple(Contour(name, asked.words) for name in others or (asked.loop,)),
-        plants=HELD_OUT, nominal=False, noise_seeds=1, seed=(asked.seed + HELD_OUT_SEED) % 2**32,
-        horizons=(timing.duration,), skip=timing.skip, spreads=spreads,
-        correlations=asked.correlations, dealt=True,
-    )  # fmt: skip
+    spreads = (*loop_spec.spreads, *motion)
+    return SetSpec(
+        contours=tuple(ContourSpec(name, loop_spec.words) for name in others or (loop_spec.loop,)),
+        plants=HELD_OUT,
+        nominal=False,
+        noise_seeds=1,
+        seed=(loop_spec.seed + HELD_OUT_SEED) % 2**32,
+        horizons=(timing.duration,),
+        skip=timing.skip,
+        spreads=spreads,
+        correlations=loop_spec.correlations,
+        dealt=True,
+    )
 
 
 @functools.cache

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.tuner.problem.problem import Curvatures, Problem, directional, evaluate
+from tuning.tuner.problem.problem import GaussNewtonModel, Problem, directional, evaluate
 
 #: steps of the differences, in z: with the exact model a larger one averages over small jumps
 STEPS = (1e-3, 1e-2)
@@ -34,9 +34,12 @@ def directions_of(size: int, count: int, seed: int) -> np.ndarray:
 
 
 def gradient_check(
-    problem: Problem, z: np.ndarray, directions: int = 3, seed: int = 0,
-    known: Curvatures | None = None,
-) -> GradientCheck:  # fmt: skip
+    problem: Problem,
+    z: np.ndarray,
+    directions: int = 3,
+    seed: int = 0,
+    known: GaussNewtonModel | None = None,
+) -> GradientCheck:
     """Forward-mode slopes of every run's cost at z (n,) against central differences.
 
     Along random directions. known: of `curvatures` at z, which holds the slopes already.
@@ -44,7 +47,7 @@ def gradient_check(
     along = directions_of(len(z), directions, seed)
     slopes = directional(problem, z, along) if known is None else along @ known.of_runs[0].T
     found = [_differences(problem, z, along, step) for step in STEPS]
-    return judged(problem.run_names, slopes.T, [f.T for f in found])
+    return compare_slopes(problem.run_names, slopes.T, [f.T for f in found])
 
 
 def _differences(problem: Problem, z: np.ndarray, along: np.ndarray, step: float) -> np.ndarray:
@@ -53,7 +56,7 @@ def _differences(problem: Problem, z: np.ndarray, along: np.ndarray, step: float
     return (costs[: len(along)] - costs[len(along) :]) / (2 * step)
 
 
-def judged(
+def compare_slopes(
     runs: tuple[str, ...], slopes: np.ndarray, differences: list[np.ndarray]
 ) -> GradientCheck:
     """The check from slopes (runs, d) and differences (runs, d) of each step."""

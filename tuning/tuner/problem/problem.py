@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tuning.tuner.problem.compiled_objective import Programs, make_programs
+from tuning.tuner.problem.compiled_objective import CompiledObjective, compile_objective
 from tuning.tuner.problem.objective import Goal, Risk, Term, mean
-from tuning.tuner.problem.run_group import Group as Group
+from tuning.tuner.problem.run_group import RunGroup as RunGroup
 from tuning.tuner.problem.run_group import make_group as make_group
 from tuning.tuner.problem.search_space import SearchSpace
-from tuning.tuner.problem.training_metrics import least_scale, recipe
+from tuning.tuner.problem.training_metrics import least_scale, training_metric
 
 #: candidates of one call of the compiled evaluation
 WIDTH = 8
@@ -32,7 +32,7 @@ class Evaluation(NamedTuple):
     columns: dict[str, np.ndarray]
 
 
-class Slopes(NamedTuple):
+class ValueAndGrad(NamedTuple):
     """J (m,), dJ/dz (m, n) and the violation (m,)."""
 
     objective: np.ndarray
@@ -40,7 +40,7 @@ class Slopes(NamedTuple):
     violation: np.ndarray
 
 
-class Curvatures(NamedTuple):
+class GaussNewtonModel(NamedTuple):
     """J (m,), dJ/dz (m, n), the Gauss-Newton matrix 2 sum omega dr/dz dr/dz^T (m, n, n), the
     violation (m,), and dc/dz of the cost of each run (m, runs, n)."""
 
@@ -56,7 +56,7 @@ class Problem(NamedTuple):
     row for all. scales: (terms,). before: of the gains before."""
 
     space: SearchSpace
-    groups: tuple[Group, ...]
+    groups: tuple[RunGroup, ...]
     terms: tuple[Term, ...]
     goals: tuple[Goal, ...]
     risk: Risk
@@ -64,7 +64,7 @@ class Problem(NamedTuple):
     scales: np.ndarray
     penalty: float
     width: int
-    programs: Programs
+    programs: CompiledObjective
     data: Any
     before: Evaluation | None
 
@@ -80,9 +80,13 @@ class Problem(NamedTuple):
 
 
 def make_problem(
-    space: SearchSpace, groups: Sequence[Group], terms: Sequence[Term],
-    goals: Sequence[Goal] = (), risk: Risk = mean, width: int = WIDTH,
-) -> Problem:  # fmt: skip
+    space: SearchSpace,
+    groups: Sequence[RunGroup],
+    terms: Sequence[Term],
+    goals: Sequence[Goal] = (),
+    risk: Risk = mean,
+    width: int = WIDTH,
+) -> Problem:
     """Compile the evaluation and evaluate the gains before, which set the scales left out.
 
     Raises ValueError, one line, for no runs or terms, an unknown column, a weight that is not
@@ -99,14 +103,22 @@ def make_problem(
     columns = [term.column for term in terms] + [name for goal in goals for name in goal.names]
     beside = [least_scale(term.column) for term in terms if term.scale is None]
     columns += [least[0] for least in beside if least is not None]
-    made = tuple(recipe(group.case, columns) for group in groups)
-    programs = make_programs(space, groups, made, terms, goals, risk)
+    made = tuple(training_metric(group.case, columns) for group in groups)
+    programs = compile_objective(space, groups, made, terms, goals, risk)
     problem = Problem(
-        space=space, groups=groups, terms=terms, goals=goals, risk=risk,
-        weights=np.array([[term.weight for term in terms]], float), scales=np.ones(len(terms)),
-        penalty=PENALTY, width=width, programs=programs,
-        data=tuple((group.batch.scenario, group.batch.path) for group in groups), before=None,
-    )  # fmt: skip
+        space=space,
+        groups=groups,
+        terms=terms,
+        goals=goals,
+        risk=risk,
+        weights=np.array([[term.weight for term in terms]], float),
+        scales=np.ones(len(terms)),
+        penalty=PENALTY,
+        width=width,
+        programs=programs,
+        data=tuple((group.batch.scenario, group.batch.path) for group in groups),
+        before=None,
+    )
     first = evaluate(problem, space.start()[None])
     if any(term.scale is None for term in terms):
         _refuse_lost(problem, first)
@@ -188,16 +200,20 @@ def evaluate(problem: Problem, z: np.ndarray, rows: np.ndarray | None = None) ->
     return Evaluation(*jax.tree.map(lambda *x: np.concatenate(x), *parts))
 
 
-def slopes(problem: Problem, z: np.ndarray, rows: np.ndarray | None = None) -> Slopes:
+def value_and_grad(problem: Problem, z: np.ndarray, rows: np.ndarray | None = None) -> ValueAndGrad:
     """Objective and gradient of z (m, n), reverse mode."""
-    found = problem.programs.slopes(jnp.asarray(z), *_arguments(problem, _rows(z, rows)))
-    return Slopes(*(np.asarray(x, float) for x in found))
+    found = problem.programs.value_and_grad(jnp.asarray(z), *_arguments(problem, _rows(z, rows)))
+    return ValueAndGrad(*(np.asarray(x, float) for x in found))
 
 
-def curvatures(problem: Problem, z: np.ndarray, rows: np.ndarray | None = None) -> Curvatures:
+def gauss_newton_model(
+    problem: Problem, z: np.ndarray, rows: np.ndarray | None = None
+) -> GaussNewtonModel:
     """Objective, gradient and Gauss-Newton matrix of z (m, n), forward mode."""
-    found = problem.programs.curvatures(jnp.asarray(z), *_arguments(problem, _rows(z, rows)))
-    return Curvatures(*(np.asarray(x, float) for x in found))
+    found = problem.programs.gauss_newton_model(
+        jnp.asarray(z), *_arguments(problem, _rows(z, rows))
+    )
+    return GaussNewtonModel(*(np.asarray(x, float) for x in found))
 
 
 def directional(problem: Problem, z: np.ndarray, directions: np.ndarray) -> np.ndarray:

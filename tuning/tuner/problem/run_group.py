@@ -18,7 +18,7 @@ from tuning.uncertainty.uncertain_space import batch as make_batch
 MARGIN_WEIGHT = 0.05
 
 
-class Group(NamedTuple):
+class RunGroup(NamedTuple):
     """Training runs of one contour and horizon. case: its gains are those before. weights: how much
     each run counts, (runs,)."""
 
@@ -30,9 +30,13 @@ class Group(NamedTuple):
 
 
 def make_group(
-    name: str, case: Case, values: Mapping[str, np.ndarray], seeds: np.ndarray,
-    margin: float = 0.0, weight: float = 1.0,
-) -> Group:  # fmt: skip
+    name: str,
+    case: Case,
+    values: Mapping[str, np.ndarray],
+    seeds: np.ndarray,
+    margin: float = 0.0,
+    weight: float = 1.0,
+) -> RunGroup:
     """Training runs of a case: drawn values path -> (runs, *shape) and seeds (runs,).
 
     weight: how much each run counts. margin: x adds two runs of the first plant whose drive gives
@@ -55,7 +59,7 @@ def make_group(
     drawn = make_batch(case, values, seeds)
     trees = (case.gains, drawn.scenario, drawn.path)
     check(case.loop, *trees, spread_axes(drawn.in_axes, trees))
-    return Group(name, case, drawn, len(seeds), weights)
+    return RunGroup(name, case, drawn, len(seeds), weights)
 
 
 def _behind_amplifier(

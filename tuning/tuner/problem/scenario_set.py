@@ -28,14 +28,14 @@ TRIES = 50
 MOST_RUNS = 100_000
 
 
-class Contour(NamedTuple):
+class ContourSpec(NamedTuple):
     """What is driven. words: as for ``--set``."""
 
     loop: str
     words: tuple[str, ...] = ()
 
 
-class Wanted(NamedTuple):
+class SetSpec(NamedTuple):
     """A set as asked for: every combination of its parts.
 
     plants: drawn ones. nominal: the nominal plant comes before them. horizons: s; none: the length
@@ -45,7 +45,7 @@ class Wanted(NamedTuple):
     else each of these meets them all.
     """
 
-    contours: tuple[Contour, ...]
+    contours: tuple[ContourSpec, ...]
     plants: int
     nominal: bool
     noise_seeds: int
@@ -60,7 +60,7 @@ class Wanted(NamedTuple):
     dealt: bool = False
 
 
-class Series(NamedTuple):
+class RunSet(NamedTuple):
     """Runs of one contour over one horizon. values: path -> (runs, *shape) SI. seeds: (runs,) of
     the random keys. labels: of the runs, for people."""
 
@@ -71,7 +71,7 @@ class Series(NamedTuple):
 
 
 def set_table(
-    wanted: Wanted, gains: Path | None = None, scenario: Path | None = None
+    spec: SetSpec, gains: Path | None = None, scenario: Path | None = None
 ) -> dict[str, Any]:
     """A set as plain data: its parts, and the case of every contour and horizon.
 
@@ -79,29 +79,29 @@ def set_table(
     unknown or out of range.
     """
     cases = [
-        _timed(contour, horizon, wanted.skip, gains, scenario)
-        for contour in wanted.contours
-        for horizon in wanted.horizons or (None,)
+        _timed(contour, horizon, spec.skip, gains, scenario)
+        for contour in spec.contours
+        for horizon in spec.horizons or (None,)
     ]
     for case in cases[1:]:
         same_law(cases[0], case)
     return {
-        "plants": wanted.plants,
-        "nominal": wanted.nominal,
-        "noise_seeds": wanted.noise_seeds,
-        "seed": wanted.seed,
-        "design": wanted.design,
-        "dealt": wanted.dealt,
-        "load": [dict(load) for load in wanted.loads],
-        "start": [dict(start) for start in wanted.starts],
-        "spread": [dict(spread) for spread in wanted.spreads],
-        "correlation": [dict(correlation) for correlation in wanted.correlations],
+        "plants": spec.plants,
+        "nominal": spec.nominal,
+        "noise_seeds": spec.noise_seeds,
+        "seed": spec.seed,
+        "design": spec.design,
+        "dealt": spec.dealt,
+        "load": [dict(load) for load in spec.loads],
+        "start": [dict(start) for start in spec.starts],
+        "spread": [dict(spread) for spread in spec.spreads],
+        "correlation": [dict(correlation) for correlation in spec.correlations],
         "case": [case_table(case) for case in cases],
     }
 
 
 def _timed(
-    contour: Contour, horizon: float | None, skip: float | None, gains: Any, scenario: Any
+    contour: ContourSpec, horizon: float | None, skip: float | None, gains: Any, scenario: Any
 ) -> Case:
     def retimed(timing: Timing) -> Timing:
         timing = timing if horizon is None else replace(timing, duration=horizon)
@@ -121,7 +121,7 @@ def same_law(first: Case, other: Case) -> None:
         )
 
 
-def series(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[Series]:
+def run_sets(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[RunSet]:
     """The runs of a `set_table`. Raises ValueError for impossible spreads, loads or starts."""
     parts = len(table["case"]) if table["dealt"] else 1
     return [
@@ -130,7 +130,7 @@ def series(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[Series]:
     ]
 
 
-def _series(case: Case, table: Mapping[str, Any], hand: slice) -> Series:
+def _series(case: Case, table: Mapping[str, Any], hand: slice) -> RunSet:
     """hand: the plants of this case among all."""
     parts: list[dict[str, np.ndarray]] = []
     labels: list[str] = []
@@ -156,7 +156,7 @@ def _series(case: Case, table: Mapping[str, Any], hand: slice) -> Series:
     named = tuple(name + noise for name in labels for noise in told)
     seeds = np.array([run_seed(table["seed"], i) for i in range(len(named))], np.uint32)
     delayed = with_max_delay(case, longest_delay(space(case, table["spread"], ())))
-    return Series(delayed, stacked, seeds, named)
+    return RunSet(delayed, stacked, seeds, named)
 
 
 def _changed(
@@ -207,7 +207,7 @@ def _possible(case: Case, values: Mapping[str, np.ndarray]) -> bool:
     return True
 
 
-def scenarios(table: Mapping[str, Any]) -> int:
+def count_runs(table: Mapping[str, Any]) -> int:
     """Runs of a whole set."""
     variants = max(1, len(table["load"])) * max(1, len(table["start"]))
     plants = table["plants"] + table["nominal"]

@@ -39,7 +39,7 @@ class Search(NamedTuple):
     fixed: bool = False
 
 
-class Entry(NamedTuple):
+class SearchedGain(NamedTuple):
     """One searched setting. low, high, before: in its shape. first, count: its coordinates."""
 
     path: str
@@ -76,7 +76,7 @@ class SearchSpace(NamedTuple):
     """All that is searched. gains: those before, which hold what is not."""
 
     gains: Any
-    entries: tuple[Entry, ...]
+    entries: tuple[SearchedGain, ...]
 
     @property
     def size(self) -> int:
@@ -136,14 +136,22 @@ def parameters(space: SearchSpace, z: np.ndarray) -> tuple[Parameter, ...]:
             now, before, low, high = (float(a[index]) for a in (value, e.before, e.low, e.high))
             found.append(
                 Parameter(
-                    label, e.path, index, e.symbol, e.unit, now, before, low, high,
+                    label,
+                    e.path,
+                    index,
+                    e.symbol,
+                    e.unit,
+                    now,
+                    before,
+                    low,
+                    high,
                     bool(near[index]),
                 )
-            )  # fmt: skip
+            )
     return tuple(found)
 
 
-def _near_edge(entry: Entry, value: np.ndarray) -> np.ndarray:
+def _near_edge(entry: SearchedGain, value: np.ndarray) -> np.ndarray:
     if entry.transform == linear:
         return np.zeros(value.shape, bool)
     scale = np.log if entry.transform == logarithmic else np.asarray
@@ -190,7 +198,7 @@ def search_space(case: Case, searches: Sequence[Search], factor: float = FACTOR)
     chosen = _chosen(known, searches)
     if not chosen:
         raise ValueError("nothing to tune: name gains, e.g. c1 (`jaxstage run` shows them)")
-    entries: list[Entry] = []
+    entries: list[SearchedGain] = []
     for path, search in chosen.items():
         first = sum(entry.count for entry in entries)
         entries.append(_entry(case, path, *known[path], search, factor, first))
@@ -230,7 +238,7 @@ def _part(known: Mapping[str, tuple[Quantity, Any]], name: str) -> tuple[str, ..
 
 def _entry(
     case: Case, path: str, general: Quantity, value: Any, search: Search, factor: float, first: int
-) -> Entry:
+) -> SearchedGain:
     quantity = in_units_of(general, case.loop.plant.command_unit)
     before = np.asarray(value, float)
     names = [element_names(index, before.shape, case) for index in np.ndindex(before.shape)]
@@ -239,10 +247,19 @@ def _entry(
     transform = search.transform or _suited(low, high)
     _check_box(path, quantity, before, low, high, transform)
     count = 1 if search.tied else before.size
-    return Entry(
-        path, quantity.symbol, quantity.unit, transform, low, high, before, labels, search.tied,
-        first, count,
-    )  # fmt: skip
+    return SearchedGain(
+        path,
+        quantity.symbol,
+        quantity.unit,
+        transform,
+        low,
+        high,
+        before,
+        labels,
+        search.tied,
+        first,
+        count,
+    )
 
 
 def _suited(low: np.ndarray, high: np.ndarray) -> Transform:
@@ -283,9 +300,13 @@ def _around(before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_box(
-    path: str, quantity: Quantity, before: np.ndarray, low: np.ndarray, high: np.ndarray,
+    path: str,
+    quantity: Quantity,
+    before: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
     transform: Transform,
-) -> None:  # fmt: skip
+) -> None:
     if np.any(low >= high):
         at = np.unravel_index(int(np.argmax(low >= high)), low.shape)
         raise ValueError(f"{path}: low = {low[at]:g} must be below high = {high[at]:g}")
@@ -307,7 +328,9 @@ def _check_box(
         raise ValueError(f"{path}: transform {transform.name} needs low and high")
 
 
-def _in_order(entries: list[Entry], known: Mapping[str, tuple[Quantity, Any]]) -> tuple[Entry, ...]:
+def _in_order(
+    entries: list[SearchedGain], known: Mapping[str, tuple[Quantity, Any]]
+) -> tuple[SearchedGain, ...]:
     """Boxes narrowed so that no value can fall below the one that its field must not fall below."""
     found = {entry.path: entry for entry in entries}
     for path, (quantity, value) in known.items():
@@ -324,7 +347,7 @@ def _in_order(entries: list[Entry], known: Mapping[str, tuple[Quantity, Any]]) -
     return tuple(found.values())
 
 
-def _narrowed(entry: Entry, low: np.ndarray | None, high: np.ndarray | None) -> Entry:
+def _narrowed(entry: SearchedGain, low: np.ndarray | None, high: np.ndarray | None) -> SearchedGain:
     narrow = entry._replace(
         low=entry.low if low is None else low, high=entry.high if high is None else high
     )

@@ -8,37 +8,39 @@ from typing import Any, NamedTuple
 from jaxstage.model.settings import line_of, nearest_name, read_toml
 from jaxstage.studies import find
 from tuning.store.prepare import prepare
-from tuning.tuner.problem.default_sets import Asked, default_held_out, default_training
-from tuning.tuner.problem.scenario_set import MOST_RUNS, Contour, Wanted
+from tuning.tuner.problem.default_sets import LoopSpec, default_held_out, default_training
+from tuning.tuner.problem.scenario_set import MOST_RUNS, ContourSpec, SetSpec
 from tuning.uncertainty.designs import DESIGNS
 
 
-class Sets(NamedTuple):
+class ScenarioSets(NamedTuple):
     """What is trained on and what is held out."""
 
-    train: Wanted
-    held_out: Wanted
+    train: SetSpec
+    held_out: SetSpec
 
 
-def read_sets(file: Path | None, asked: Asked) -> Sets:
+def read_sets(file: Path | None, loop_spec: LoopSpec) -> ScenarioSets:
     """The sets of a file, or the default ones.
 
     Raises ValueError, one line with its place, for anything unknown or out of range.
     """
-    case = prepare(asked.loop, list(asked.words), asked.gains, asked.scenario).case
-    sets = Sets(default_training(asked, case), default_held_out(asked, case))
+    case = prepare(loop_spec.loop, list(loop_spec.words), loop_spec.gains, loop_spec.scenario).case
+    sets = ScenarioSets(default_training(loop_spec, case), default_held_out(loop_spec, case))
     if file is None:
         return sets
     content = read_toml(file)
     for name in content:
-        if name.partition(".")[0] not in Sets._fields:
+        if name.partition(".")[0] not in ScenarioSets._fields:
             raise ValueError(
                 f"{file}:{line_of(file, name)}: '{name}' is not in [train], [held_out]"
             )
-    return Sets(*(_read(file, content, name, set_) for name, set_ in sets._asdict().items()))
+    return ScenarioSets(
+        *(_read(file, content, name, set_) for name, set_ in sets._asdict().items())
+    )
 
 
-def _read(file: Path, content: Mapping[str, Any], name: str, default: Wanted) -> Wanted:
+def _read(file: Path, content: Mapping[str, Any], name: str, default: SetSpec) -> SetSpec:
     given = {
         key.removeprefix(f"{name}."): value
         for key, value in content.items()
@@ -46,17 +48,17 @@ def _read(file: Path, content: Mapping[str, Any], name: str, default: Wanted) ->
     }
     if "contour" in given and "horizons" not in given:  # the timing of a contour then counts
         default = default._replace(horizons=(), skip=None)
-    wanted = default
+    spec = default
     for key, value in given.items():
         try:
             if key not in _KEYS:
                 hint = nearest_name(key, _KEYS)
                 raise ValueError(f"unknown key '{key}'{hint}: one of {', '.join(_KEYS)}")
             field, convert = _KEYS[key]
-            wanted = wanted._replace(**{field: convert(key, value)})
+            spec = spec._replace(**{field: convert(key, value)})
         except ValueError as error:
             raise ValueError(f"{file}:{_line(file, name, key)}: [{name}] {error}") from None
-    return _whole(file, name, wanted)
+    return _whole(file, name, spec)
 
 
 def _line(file: Path, table: str, key: str) -> int:
@@ -73,14 +75,14 @@ def _line(file: Path, table: str, key: str) -> int:
     return line_of(file, key)
 
 
-def _whole(file: Path, name: str, wanted: Wanted) -> Wanted:
-    if wanted.plants + wanted.nominal < 1:
+def _whole(file: Path, name: str, spec: SetSpec) -> SetSpec:
+    if spec.plants + spec.nominal < 1:
         raise ValueError(f"{file}: [{name}] holds no plant: plants = 0 needs nominal = true")
-    if wanted.dealt and wanted.plants + wanted.nominal < len(wanted.contours):
+    if spec.dealt and spec.plants + spec.nominal < len(spec.contours):
         raise ValueError(f"{file}: [{name}] fewer plants than contours to deal them to")
-    if wanted.plants and not wanted.spreads:
+    if spec.plants and not spec.spreads:
         raise ValueError(f"{file}: [{name}] nothing is uncertain: give [[{name}.spread]] tables")
-    return wanted
+    return spec
 
 
 def _count(least: int) -> Callable[[str, Any], int]:
@@ -126,18 +128,18 @@ def _tables(key: str, value: Any) -> tuple[Mapping[str, Any], ...]:
     return tuple(value)
 
 
-def _contours(key: str, value: Any) -> tuple[Contour, ...]:
+def _contours(key: str, value: Any) -> tuple[ContourSpec, ...]:
     return tuple(_contour(table) for table in _tables(key, value))
 
 
-def _contour(table: Mapping[str, Any]) -> Contour:
+def _contour(table: Mapping[str, Any]) -> ContourSpec:
     wrong = set(table) - {"loop", "set"}
     if wrong:
         raise ValueError(f"contour: unknown key '{sorted(wrong)[0]}': one of loop, set")
     words = table.get("set", [])
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
         raise ValueError(f'contour: set = {words}: must be a list like ["lap_time=1"]')
-    return Contour(find(str(table.get("loop", ""))).name, tuple(words))
+    return ContourSpec(find(str(table.get("loop", ""))).name, tuple(words))
 
 
 def _design(key: str, value: Any) -> str:
@@ -165,7 +167,7 @@ _KEYS: dict[str, tuple[str, Callable[[str, Any], Any]]] = {
 }
 
 
-def apart(sets: Sets) -> None:
+def refuse_overlap(sets: ScenarioSets) -> None:
     """Refuse a held-out set that is the training set. Raises ValueError."""
     same = ("contours", "seed", "horizons", "spreads", "design")
     if all(getattr(sets.train, key) == getattr(sets.held_out, key) for key in same):

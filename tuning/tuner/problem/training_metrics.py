@@ -44,7 +44,7 @@ GROWTH = "growth"
 
 
 @definition
-class Squared:
+class MeanSquare:
     """A column that is the root of the mean of something squared.
 
     name: of its sums. scale: display units in one SI unit. of(sample, last command) -> (), SI; of
@@ -76,13 +76,13 @@ def _change(sample: Sample, last: Array) -> Array:
     return jnp.mean((sample.command - last) ** 2)
 
 
-CONTOUR = Squared(name="contour", scale=1e6, of=_contour)
-FOLLOWING = Squared(name="following", scale=1e6, of=_following)
-COMMAND = Squared(name="command", scale=1.0, of=_command)
-CHANGE = Squared(name="change", scale=1.0, of=_change)
+CONTOUR = MeanSquare(name="contour", scale=1e6, of=_contour)
+FOLLOWING = MeanSquare(name="following", scale=1e6, of=_following)
+COMMAND = MeanSquare(name="command", scale=1.0, of=_command)
+CHANGE = MeanSquare(name="change", scale=1.0, of=_change)
 
 
-class Recipe(NamedTuple):
+class TrainingMetric(NamedTuple):
     """How the columns that are asked for come about.
 
     columns: their names. known: every column there is -> the metric whose report holds it, or "".
@@ -94,7 +94,7 @@ class Recipe(NamedTuple):
     metric: Metric
 
 
-def available(case: Case) -> dict[str, str]:
+def available_columns(case: Case) -> dict[str, str]:
     """Every column of the runs of a case -> the name of its metric, "" for the tuner's own."""
     report = _shapes(case, case.metric)
     found = {}
@@ -104,9 +104,9 @@ def available(case: Case) -> dict[str, str]:
     return found | {GROWTH: ""} | ({SMOOTH_MAX: ""} if _has_contour(report) else {})
 
 
-def recipe(case: Case, columns: Iterable[str]) -> Recipe:
+def training_metric(case: Case, columns: Iterable[str]) -> TrainingMetric:
     """The light metric of a case that gives these columns. Raises ValueError for an unknown one."""
-    known, wanted = available(case), tuple(dict.fromkeys(columns))
+    known, wanted = available_columns(case), tuple(dict.fromkeys(columns))
     squares = _squares(case)
     for name in wanted:
         if name not in known:
@@ -118,7 +118,7 @@ def recipe(case: Case, columns: Iterable[str]) -> Recipe:
     light = [selected(case.metric, metrics)] if metrics else []
     light += [smooth_max] if SMOOTH_MAX in wanted else []
     own += [scored(together(*light), case.window)] if light else []
-    return Recipe(wanted, known, together(*own))
+    return TrainingMetric(wanted, known, together(*own))
 
 
 def least_scale(column: str) -> tuple[str, float] | None:
@@ -142,7 +142,7 @@ def _has_contour(report: dict[str, Any]) -> bool:
     return "contour" in report
 
 
-def _squares(case: Case) -> dict[str, Squared]:
+def _squares(case: Case) -> dict[str, MeanSquare]:
     """Column -> what it is the root mean square of."""
     plant = case.loop.plant
     unit = plant.command_unit
@@ -164,7 +164,7 @@ class _Sums(NamedTuple):
 
 
 @functools.cache
-def pieces(squared: tuple[Squared, ...], window: Window) -> Metric:
+def pieces(squared: tuple[MeanSquare, ...], window: Window) -> Metric:
     """What each piece of the window adds to mean squares: name -> (pieces,), SI.
 
     It looks at the window itself, and not through `scored`: the first change of the command in it
@@ -272,7 +272,7 @@ def _arrays(report: Any, plant: Plant) -> dict[str, Array]:
     return table
 
 
-class Measured(NamedTuple):
+class MetricColumns(NamedTuple):
     """columns: (lanes,) each. pieces: column -> (lanes, pieces), whose squares add up to that of
     the column; for columns that are a root mean square."""
 
@@ -280,7 +280,7 @@ class Measured(NamedTuple):
     pieces: dict[str, Array]
 
 
-def measure(case: Case, made: Recipe, report: Any) -> Measured:
+def metric_columns(case: Case, made: TrainingMetric, report: Any) -> MetricColumns:
     """The columns of a batch of runs. report: of `rollouts` with the metric of a recipe; no NaN."""
     table = _arrays(report["scored"], case.loop.plant) if "scored" in report else {}
     squares, found = _squares(case), {}
@@ -290,7 +290,7 @@ def measure(case: Case, made: Recipe, report: Any) -> Measured:
             table[name] = root(jnp.sum(found[name] ** 2, axis=-1))
     if GROWTH in made.columns:
         table[GROWTH] = report["growth"]
-    return Measured({name: table[name] for name in made.columns}, found)
+    return MetricColumns({name: table[name] for name in made.columns}, found)
 
 
 def as_numbers(columns: dict[str, Array]) -> dict[str, np.ndarray]:

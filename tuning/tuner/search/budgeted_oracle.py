@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tuning.tuner.problem import problem as problems
-from tuning.tuner.problem.problem import Curvatures, Problem, Slopes
-from tuning.tuner.search.cost_model import Prices
+from tuning.tuner.problem.problem import GaussNewtonModel, Problem, ValueAndGrad
+from tuning.tuner.search.cost_model import CostModel
 from tuning.tuner.search.evaluation_log import Answer, digest, keep
 from tuning.tuner.search.method import Oracle
 
@@ -33,22 +33,22 @@ class Best(NamedTuple):
         return max(self.violation, 0.0), self.objective
 
 
-class Ledger(NamedTuple):
+class BudgetedOracle(NamedTuple):
     """What a tuning has asked so far; it fills while it runs. costs: (units, seconds) of every
     question. known: answers of this process by question."""
 
     budget: float
     folder: Path | None
-    prices: Prices
+    cost_model: CostModel
     starts: int
     costs: list[tuple[float, float]]
     best: dict[int, Best]
     known: dict[str, Answer]
 
     @property
-    def units(self) -> float:
+    def simulations(self) -> float:
         """Units spent."""
-        return sum(units for units, _ in self.costs)
+        return sum(simulations for simulations, _ in self.costs)
 
     @property
     def seconds(self) -> float:
@@ -60,28 +60,34 @@ class BeyondBudget(Exception):
     """A question costs more than what is left."""
 
 
-def kept(ledger: Ledger, question: str, units: float, answer: Callable[[], Answer]) -> Answer:
+def kept(
+    budgeted: BudgetedOracle, question: str, simulations: float, answer: Callable[[], Answer]
+) -> Answer:
     """The answer to a question, asked and charged only once. Raises `BeyondBudget`."""
-    if question not in ledger.known:
-        if ledger.units + units > ledger.budget + ROUNDING:
+    if question not in budgeted.known:
+        if budgeted.simulations + simulations > budgeted.budget + ROUNDING:
             raise BeyondBudget
-        index = len(ledger.costs) + FIRST
-        ledger.known[question], seconds = keep(ledger.folder, index, question, answer)
-        ledger.costs.append((units, seconds))
-    return ledger.known[question]
+        index = len(budgeted.costs) + FIRST
+        budgeted.known[question], seconds = keep(budgeted.folder, index, question, answer)
+        budgeted.costs.append((simulations, seconds))
+    return budgeted.known[question]
 
 
 def ask_all(
-    ledger: Ledger, problem: Problem, ask: Callable[..., Any], price: float, z: np.ndarray,
+    budgeted: BudgetedOracle,
+    problem: Problem,
+    ask: Callable[..., Any],
+    price: float,
+    z: np.ndarray,
     rows: np.ndarray,
-) -> Answer:  # fmt: skip
+) -> Answer:
     """What ``ask`` says of candidates z (m, n) of starts ``rows``; the best are remembered."""
     question = digest(ask.__name__, problem.penalty, z, rows.astype(np.int64))
-    found = kept(ledger, question, len(z) * price, lambda: ask(problem, z, rows))
+    found = kept(budgeted, question, len(z) * price, lambda: ask(problem, z, rows))
     for i, row in enumerate(map(int, rows)):
         own = Best(z[i], float(found["objective"][i]), float(found["violation"][i]))
-        if row not in ledger.best or own.key() < ledger.best[row].key():
-            ledger.best[row] = own
+        if row not in budgeted.best or own.key() < budgeted.best[row].key():
+            budgeted.best[row] = own
     return found
 
 
@@ -91,29 +97,31 @@ def values_of(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
     return {"objective": found.objective, "violation": found.violation, "costs": found.costs}
 
 
-def make_oracle(ledger: Ledger, problem: Problem) -> Oracle:
+def make_oracle(budgeted: BudgetedOracle, problem: Problem) -> Oracle:
     """The oracle of a problem whose answers are kept, charged and remembered."""
-    prices = ledger.prices
+    cost_model = budgeted.cost_model
 
     def filled(z: np.ndarray, rows: np.ndarray, ask: Callable[..., Any]) -> Answer:
         """All starts in one call, so that one program does, however many of them move."""
-        full = np.minimum(np.arange(max(ledger.starts, len(z))), len(z) - 1)
+        full = np.minimum(np.arange(max(budgeted.starts, len(z))), len(z) - 1)
         found = ask(problem, z[full], rows[full])
         return {name: x[: len(z)] for name, x in found._asdict().items()}
 
     def reverse(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
-        return filled(z, rows, problems.slopes)
+        return filled(z, rows, problems.value_and_grad)
 
     def forward(problem: Problem, z: np.ndarray, rows: np.ndarray) -> Answer:
-        return filled(z, rows, problems.curvatures)
+        return filled(z, rows, problems.gauss_newton_model)
 
     def values(z: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        return ask_all(ledger, problem, values_of, 1.0, z, rows)["objective"]
+        return ask_all(budgeted, problem, values_of, 1.0, z, rows)["objective"]
 
-    def slopes(z: np.ndarray, rows: np.ndarray) -> Slopes:
-        return Slopes(**ask_all(ledger, problem, reverse, prices.gradient, z, rows))
+    def value_and_grad(z: np.ndarray, rows: np.ndarray) -> ValueAndGrad:
+        return ValueAndGrad(**ask_all(budgeted, problem, reverse, cost_model.gradient, z, rows))
 
-    def curvatures(z: np.ndarray, rows: np.ndarray) -> Curvatures:
-        return Curvatures(**ask_all(ledger, problem, forward, prices.curvature, z, rows))
+    def gauss_newton_model(z: np.ndarray, rows: np.ndarray) -> GaussNewtonModel:
+        return GaussNewtonModel(
+            **ask_all(budgeted, problem, forward, cost_model.curvature, z, rows)
+        )
 
-    return Oracle(values, slopes, curvatures)
+    return Oracle(values, value_and_grad, gauss_newton_model)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tuning.tuner.search.cost_model import Prices
+from tuning.tuner.search.cost_model import CostModel
 from tuning.tuner.search.method import Method, Oracle
 
 
@@ -59,7 +59,7 @@ def _step(oracle: Oracle, state: CmaState) -> CmaState:
     return state._replace(optimisers=made, z=z, value=best, done=done)
 
 
-def _first(population: int | None, prices: Prices, n: int) -> float:
+def _first(population: int | None, cost_model: CostModel, n: int) -> float:
     return 1 + (population or 4 + math.floor(3 * math.log(n)))
 
 

@@ -14,21 +14,21 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from tuning.tuner.problem.problem import Problem, curvatures, evaluate, slopes
+from tuning.tuner.problem.problem import Problem, evaluate, gauss_newton_model, value_and_grad
 
 REPEATS = 3
 
 
-class Prices(NamedTuple):
+class CostModel(NamedTuple):
     """Units of one gradient and one Jacobian of one candidate; NaN where it is not needed. unit_s:
     seconds of a unit, by the same clock."""
 
     gradient: float
     curvature: float
-    unit_s: float
+    simulation_s: float
 
 
-def measure_prices(problem: Problem, needs: str, starts: int = 1) -> Prices:
+def measure_cost_model(problem: Problem, needs: str, starts: int = 1) -> CostModel:
     """The prices of what a method needs beside values: "", "slopes" or "curvatures".
 
     starts: candidates of one call.
@@ -40,9 +40,9 @@ def measure_prices(problem: Problem, needs: str, starts: int = 1) -> Prices:
     }
     many = np.repeat(z[None], starts, axis=0)
     if needs == "slopes":
-        asked[needs] = lambda: slopes(problem, many)
+        asked[needs] = lambda: value_and_grad(problem, many)
     if needs == "curvatures":
-        asked[needs] = lambda: curvatures(problem, many)
+        asked[needs] = lambda: gauss_newton_model(problem, many)
     for ask in asked.values():
         ask()
     best = dict.fromkeys(asked, math.inf)
@@ -56,4 +56,4 @@ def measure_prices(problem: Problem, needs: str, starts: int = 1) -> Prices:
     def price(name: str) -> float:
         return round(best[name] / starts / unit, 1) if name in best else math.nan
 
-    return Prices(price("slopes"), price("curvatures"), unit)
+    return CostModel(price("slopes"), price("curvatures"), unit)

@@ -85,9 +85,15 @@ def fingerprint(problem: Problem) -> str:
     ]
     goals = [goal.text for goal in problem.goals]
     return digest(
-        space, runs, problem.terms, goals, problem.risk.name, problem.weights, problem.scales,
+        space,
+        runs,
+        problem.terms,
+        goals,
+        problem.risk.name,
+        problem.weights,
+        problem.scales,
         *(_plain(leaf) for leaf in jax.tree.leaves((problem.space.gains, problem.data))),
-    )  # fmt: skip
+    )
 
 
 def _plain(leaf: Any) -> np.ndarray:

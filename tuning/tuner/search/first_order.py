@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import optax
 
-from tuning.tuner.search.cost_model import Prices
+from tuning.tuner.search.cost_model import CostModel
 from tuning.tuner.search.method import Method, Oracle
 
 
@@ -31,12 +31,17 @@ def _sound(gradient: np.ndarray) -> np.ndarray:
 def _begin(
     optimiser: optax.GradientTransformation, oracle: Oracle, starts: np.ndarray, seed: int
 ) -> FirstOrderState:
-    found = oracle.slopes(starts, np.arange(len(starts)))
+    found = oracle.value_and_grad(starts, np.arange(len(starts)))
     norm = np.linalg.norm(found.gradient, axis=1)
     return FirstOrderState(
-        memory=optimiser.init(starts), point=starts, gradient=_sound(found.gradient), z=starts,
-        value=found.objective, gradient_norm=norm, done=np.zeros(len(starts), bool),
-    )  # fmt: skip
+        memory=optimiser.init(starts),
+        point=starts,
+        gradient=_sound(found.gradient),
+        z=starts,
+        value=found.objective,
+        gradient_norm=norm,
+        done=np.zeros(len(starts), bool),
+    )
 
 
 def _step(
@@ -44,18 +49,21 @@ def _step(
 ) -> FirstOrderState:
     moves, memory = optimiser.update(state.gradient, state.memory, state.point)
     point = np.asarray(optax.apply_updates(state.point, moves), float)
-    found = oracle.slopes(point, np.arange(len(point)))
+    found = oracle.value_and_grad(point, np.arange(len(point)))
     better = found.objective < state.value
     return FirstOrderState(
-        memory=memory, point=point, gradient=_sound(found.gradient),
+        memory=memory,
+        point=point,
+        gradient=_sound(found.gradient),
         z=np.where(better[:, None], point, state.z),
         value=np.where(better, found.objective, state.value),
-        gradient_norm=np.linalg.norm(found.gradient, axis=1), done=state.done,
-    )  # fmt: skip
+        gradient_norm=np.linalg.norm(found.gradient, axis=1),
+        done=state.done,
+    )
 
 
-def _first(prices: Prices, n: int) -> float:
-    return 2 * prices.gradient
+def _first(cost_model: CostModel, n: int) -> float:
+    return 2 * cost_model.gradient
 
 
 @functools.cache
@@ -63,6 +71,9 @@ def first_order(make: Any = optax.adam, rate: float = 0.1) -> Method:
     """make(rate) -> an optimiser of optax."""
     optimiser = make(rate)
     return Method(
-        name=f"{make.__name__}", needs="slopes", first=_first,
-        begin=functools.partial(_begin, optimiser), step=functools.partial(_step, optimiser),
-    )  # fmt: skip
+        name=f"{make.__name__}",
+        needs="slopes",
+        first=_first,
+        begin=functools.partial(_begin, optimiser),
+        step=functools.partial(_step, optimiser),
+    )

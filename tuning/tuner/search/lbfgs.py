@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.tuner.search.cost_model import Prices
+from tuning.tuner.search.cost_model import CostModel
 from tuning.tuner.search.method import Method, Oracle
 
 #: what a step must give of the first-order promise (Armijo)
@@ -54,14 +54,18 @@ def direction(gradient: np.ndarray, moves: np.ndarray, changes: np.ndarray) -> n
 
 
 def _begin(oracle: Oracle, starts: np.ndarray, seed: int) -> LbfgsState:
-    found = oracle.slopes(starts, np.arange(len(starts)))
+    found = oracle.value_and_grad(starts, np.arange(len(starts)))
     norm = np.linalg.norm(found.gradient, axis=1)
     none = np.zeros((0, starts.shape[1]))
     return LbfgsState(
-        z=starts, value=found.objective, gradient=found.gradient,
-        pairs=((none, none),) * len(starts), recent=np.full((len(starts), PATIENCE), np.inf),
-        gradient_norm=norm, done=~np.isfinite(norm) | (norm == 0),
-    )  # fmt: skip
+        z=starts,
+        value=found.objective,
+        gradient=found.gradient,
+        pairs=((none, none),) * len(starts),
+        recent=np.full((len(starts), PATIENCE), np.inf),
+        gradient_norm=norm,
+        done=~np.isfinite(norm) | (norm == 0),
+    )
 
 
 def _step(memory: int, radius: float, oracle: Oracle, state: LbfgsState) -> LbfgsState:
@@ -113,7 +117,7 @@ def _tried(
     memory: int, oracle: Oracle, state: LbfgsState, rows: np.ndarray, steps: np.ndarray
 ) -> tuple[LbfgsState, dict[int, bool]]:
     """Steps (rows, n) of some starts, taken where they help and the gradient is finite."""
-    trial = oracle.slopes(state.z[rows] + steps, rows)
+    trial = oracle.value_and_grad(state.z[rows] + steps, rows)
     taken = {}
     for i, k in enumerate(map(int, rows)):
         limit = state.value[k] + ENOUGH * (state.gradient[k] @ steps[i])
@@ -132,15 +136,15 @@ def _taken(
     if p @ y > 1e-10 * np.linalg.norm(p) * np.linalg.norm(y):
         moves = np.concatenate([moves, p[None]])[-memory:]
         changes = np.concatenate([changes, y[None]])[-memory:]
-    z, values, slopes = state.z.copy(), state.value.copy(), state.gradient.copy()
+    z, values, value_and_grad = state.z.copy(), state.value.copy(), state.gradient.copy()
     recent, done = state.recent.copy(), state.done.copy()
     norm = state.gradient_norm.copy()
-    z[k], values[k], slopes[k] = z[k] + p, value, gradient
+    z[k], values[k], value_and_grad[k] = z[k] + p, value, gradient
     norm[k] = np.linalg.norm(gradient)
     done[k] = recent[k, 0] - value < SMALLEST_GAIN * abs(value)
     recent[k] = np.append(recent[k, 1:], value)
     pairs = tuple((moves, changes) if i == k else pair for i, pair in enumerate(state.pairs))
-    return LbfgsState(z, values, slopes, pairs, recent, norm, done)
+    return LbfgsState(z, values, value_and_grad, pairs, recent, norm, done)
 
 
 def _failed(state: LbfgsState, k: int) -> LbfgsState:
@@ -152,14 +156,17 @@ def _failed(state: LbfgsState, k: int) -> LbfgsState:
     return state._replace(pairs=pairs, done=done)
 
 
-def _first_units(prices: Prices, n: int) -> float:
-    return prices.gradient + len(FIRST)
+def _first_units(cost_model: CostModel, n: int) -> float:
+    return cost_model.gradient + len(FIRST)
 
 
 @functools.cache
 def lbfgs(memory: int = 20, radius: float = 2.0) -> Method:
     """memory: pairs that are kept; radius: longest step, in z."""
     return Method(
-        name="lbfgs", needs="slopes", first=_first_units, begin=_begin,
+        name="lbfgs",
+        needs="slopes",
+        first=_first_units,
+        begin=_begin,
         step=functools.partial(_step, memory, radius),
-    )  # fmt: skip
+    )

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.tuner.problem.problem import Curvatures
-from tuning.tuner.search.cost_model import Prices
+from tuning.tuner.problem.problem import GaussNewtonModel
+from tuning.tuner.search.cost_model import CostModel
 from tuning.tuner.search.method import Method, Oracle
 
 #: radii that are tried together, as factors on the radius of the state
@@ -91,7 +91,7 @@ def promised(matrix: np.ndarray, gradient: np.ndarray, step: np.ndarray) -> floa
     return float(-(gradient @ step) - 0.5 * step @ matrix @ step)
 
 
-def _finite(found: Curvatures) -> np.ndarray:
+def _finite(found: GaussNewtonModel) -> np.ndarray:
     """Which starts (k,) have finite derivatives."""
     numbers = np.concatenate([found.gradient[:, None], found.gauss_newton], axis=1).reshape(
         len(found.gradient), -1
@@ -101,17 +101,22 @@ def _finite(found: Curvatures) -> np.ndarray:
 
 def _begin(radius: float, oracle: Oracle, starts: np.ndarray, seed: int) -> LmState:
     rows = np.arange(len(starts))
-    found = oracle.curvatures(starts, rows)
+    found = oracle.gauss_newton_model(starts, rows)
     norm = np.linalg.norm(found.gradient, axis=1)
     broken = ~_finite(found)
     return LmState(
-        z=starts, value=found.objective, gradient=found.gradient, matrix=found.gauss_newton,
-        residual=np.zeros_like(found.gauss_newton), radius=np.full(len(starts), radius),
-        gradient_norm=norm, done=broken | (norm == 0),
-    )  # fmt: skip
+        z=starts,
+        value=found.objective,
+        gradient=found.gradient,
+        matrix=found.gauss_newton,
+        residual=np.zeros_like(found.gauss_newton),
+        radius=np.full(len(starts), radius),
+        gradient_norm=norm,
+        done=broken | (norm == 0),
+    )
 
 
-class _Trial(NamedTuple):
+class _TrialStep(NamedTuple):
     """A step that is tried. hoped: what its model promises."""
 
     start: int
@@ -120,7 +125,7 @@ class _Trial(NamedTuple):
     hoped: float
 
 
-def _trials(state: LmState, k: int, largest: float) -> list[_Trial]:
+def _trial_steps(state: LmState, k: int, largest: float) -> list[_TrialStep]:
     """Steps of both models, of all radii."""
     models = [state.matrix[k]]
     if np.any(state.residual[k]):
@@ -129,12 +134,12 @@ def _trials(state: LmState, k: int, largest: float) -> list[_Trial]:
     for model in models:
         for factor in FACTORS:
             step = damped_step(model, state.gradient[k], min(factor * state.radius[k], largest))
-            found.append(_Trial(k, step, factor, promised(model, state.gradient[k], step)))
+            found.append(_TrialStep(k, step, factor, promised(model, state.gradient[k], step)))
     return found
 
 
 def _step(largest: float, oracle: Oracle, state: LmState) -> LmState:
-    trials = [t for k in np.flatnonzero(~state.done) for t in _trials(state, int(k), largest)]
+    trials = [t for k in np.flatnonzero(~state.done) for t in _trial_steps(state, int(k), largest)]
     rows = np.array([t.start for t in trials])
     values = oracle.values(state.z[rows] + np.stack([t.step for t in trials]), rows)
     radius, done, moved = state.radius.copy(), state.done.copy(), state.z.copy()
@@ -159,7 +164,7 @@ def _refreshed(oracle: Oracle, state: LmState, moved: np.ndarray) -> LmState:
     rows = np.flatnonzero(np.any(moved != state.z, axis=1))
     if not len(rows):
         return state
-    found = oracle.curvatures(moved[rows], rows)
+    found = oracle.gauss_newton_model(moved[rows], rows)
     sound = _finite(found)
     z, value = state.z.copy(), state.value.copy()
     gradient, matrix = state.gradient.copy(), state.matrix.copy()
@@ -168,9 +173,11 @@ def _refreshed(oracle: Oracle, state: LmState, moved: np.ndarray) -> LmState:
     for i, k in enumerate(rows):
         if sound[i]:
             residual[k] = learned(
-                residual[k], found.gauss_newton[i], moved[k] - z[k],
+                residual[k],
+                found.gauss_newton[i],
+                moved[k] - z[k],
                 found.gradient[i] - gradient[k],
-            )  # fmt: skip
+            )
             z[k], value[k] = moved[k], found.objective[i]
             gradient[k], matrix[k] = found.gradient[i], found.gauss_newton[i]
         else:
@@ -180,14 +187,17 @@ def _refreshed(oracle: Oracle, state: LmState, moved: np.ndarray) -> LmState:
     return LmState(z, value, gradient, matrix, residual, radius, norm, done)
 
 
-def _first(prices: Prices, n: int) -> float:
-    return prices.curvature + len(FACTORS)
+def _first(cost_model: CostModel, n: int) -> float:
+    return cost_model.curvature + len(FACTORS)
 
 
 @functools.cache
 def levenberg_marquardt(radius: float = 1.0, largest: float = 4.0) -> Method:
     """radius: of the first step, in z; largest: of any."""
     return Method(
-        name="lm", needs="curvatures", first=_first,
-        begin=functools.partial(_begin, radius), step=functools.partial(_step, largest),
-    )  # fmt: skip
+        name="lm",
+        needs="curvatures",
+        first=_first,
+        begin=functools.partial(_begin, radius),
+        step=functools.partial(_step, largest),
+    )

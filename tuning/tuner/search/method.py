@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxstage.model.fields import definition
-from tuning.tuner.problem.problem import Curvatures, Slopes
-from tuning.tuner.search.cost_model import Prices
+from tuning.tuner.problem.problem import GaussNewtonModel, ValueAndGrad
+from tuning.tuner.search.cost_model import CostModel
 
 
 class Oracle(NamedTuple):
@@ -21,8 +21,8 @@ class Oracle(NamedTuple):
     """
 
     values: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    slopes: Callable[[np.ndarray, np.ndarray], Slopes]
-    curvatures: Callable[[np.ndarray, np.ndarray], Curvatures]
+    value_and_grad: Callable[[np.ndarray, np.ndarray], ValueAndGrad]
+    gauss_newton_model: Callable[[np.ndarray, np.ndarray], GaussNewtonModel]
 
 
 #: A NamedTuple of arrays over the k starts, with at least ``z`` (k, n): the points reached,
@@ -40,6 +40,6 @@ class Method:
 
     name: str
     needs: str
-    first: Callable[[Prices, int], float]
+    first: Callable[[CostModel, int], float]
     begin: Callable[[Oracle, np.ndarray, int], State]
     step: Callable[[Oracle, State], State]

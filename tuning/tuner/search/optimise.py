@@ -15,19 +15,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from tuning.tuner.problem import problem as problems
-from tuning.tuner.problem.gradient_check import STEPS, GradientCheck, directions_of, judged
+from tuning.tuner.problem.gradient_check import STEPS, GradientCheck, compare_slopes, directions_of
 from tuning.tuner.problem.problem import Problem
 from tuning.tuner.search.budgeted_oracle import (
     Best,
     BeyondBudget,
-    Ledger,
+    BudgetedOracle,
     ask_all,
     kept,
     make_oracle,
     values_of,
 )
 from tuning.tuner.search.cma_es import cma_es
-from tuning.tuner.search.cost_model import Prices, measure_prices
+from tuning.tuner.search.cost_model import CostModel, measure_cost_model
 from tuning.tuner.search.evaluation_log import digest, fingerprint, keep
 from tuning.tuner.search.first_order import first_order
 from tuning.tuner.search.lbfgs import lbfgs
@@ -63,12 +63,12 @@ METHODS: dict[str, Callable[[], Method]] = {
 }
 
 
-class Progress(NamedTuple):
+class SearchProgress(NamedTuple):
     """After a step. best, violation, z: of the best gains so far; gradient_norm: smallest of the
     starts, NaN where unknown; left_s: expected until the budget is spent."""
 
     step: int
-    units: float
+    simulations: float
     budget: float
     seconds: float
     left_s: float
@@ -87,7 +87,7 @@ class StartResult(NamedTuple):
     violation: float
 
 
-class Tuned(NamedTuple):
+class SearchResult(NamedTuple):
     """before, after: J. feasible: no training run is lost and every goal is met. ended: why. note:
     why CMA-ES searched in place of the method that was asked for, or empty."""
 
@@ -99,21 +99,26 @@ class Tuned(NamedTuple):
     after: float
     violation: float
     feasible: bool
-    units: float
+    simulations: float
     seconds: float
-    prices: Prices
+    cost_model: CostModel
     check: GradientCheck | None
     starts: tuple[StartResult, ...]
-    history: tuple[Progress, ...]
+    history: tuple[SearchProgress, ...]
     ended: str
     note: str
 
 
 def tune(
-    problem: Problem, method: Method | None = None, starts: int | np.ndarray = 1, seed: int = 0,
-    budget: float = 2000.0, prices: Prices | None = None, journal: Path | None = None,
-    watch: Callable[[Progress], None] = lambda progress: None,
-) -> Tuned:  # fmt: skip
+    problem: Problem,
+    method: Method | None = None,
+    starts: int | np.ndarray = 1,
+    seed: int = 0,
+    budget: float = 2000.0,
+    cost_model: CostModel | None = None,
+    log_folder: Path | None = None,
+    watch: Callable[[SearchProgress], None] = lambda progress: None,
+) -> SearchResult:
     """Minimise J from the gains before, and from other starts.
 
     method: None chooses: by the number of parameters, and by a check of the gradients, CMA-ES where
@@ -136,27 +141,27 @@ def tune(
     few = problem.space.size <= FEW
     chosen = method or (levenberg_marquardt() if few else lbfgs())
     told = starts if isinstance(starts, int) else np.ascontiguousarray(starts, float)
-    told_prices = None if prices is None else tuple(prices)
+    told_prices = None if cost_model is None else tuple(cost_model)
     question = digest(fingerprint(problem), chosen.name, method is None, told, seed, told_prices)
-    keep(journal, 0, question, dict)
-    prices = prices or _kept_prices(problem, chosen, count, journal)
-    ledger = Ledger(budget, journal, prices, count, [], {}, {})
-    oracle = make_oracle(ledger, problem)
+    keep(log_folder, 0, question, dict)
+    cost_model = cost_model or _kept_cost_model(problem, chosen, count, log_folder)
+    budgeted = BudgetedOracle(budget, log_folder, cost_model, count, [], {}, {})
+    oracle = make_oracle(budgeted, problem)
     begun = _starts(oracle, problem, starts, seed)
     check, size = None, problem.space.size
-    before = screened + (_price_of_check(prices, size, count) if method is None else 0)
-    chosen, note = _affordable(chosen, before + count * chosen.first(prices, size), budget)
+    before = screened + (_cost_of_check(cost_model, size, count) if method is None else 0)
+    chosen, note = _affordable(chosen, before + count * chosen.first(cost_model, size), budget)
     if method is None and not note:
-        check = _check(ledger, problem, begun[0], seed)
+        check = _check(budgeted, problem, begun[0], seed)
         chosen = chosen if check.ok else cma_es()
-    history: list[Progress] = []
-    ended = _search(ledger, problem, chosen, begun, seed, watch, history)
-    ends = tuple(ledger.best[k] for k in range(count))
-    if method is None and few and chosen.needs and ledger.units < budget:
+    history: list[SearchProgress] = []
+    ended = _search(budgeted, problem, chosen, begun, seed, watch, history)
+    ends = tuple(budgeted.best[k] for k in range(count))
+    if method is None and few and chosen.needs and budgeted.simulations < budget:
         best = min(ends, key=Best.key).z[None]
-        ended = _search(ledger, problem, cma_es(POLISH), best, seed, watch, history)
+        ended = _search(budgeted, problem, cma_es(POLISH), best, seed, watch, history)
     results = tuple(StartResult(z, *end) for z, end in zip(begun, ends, strict=True))
-    return _result(problem, chosen, ledger, results, check, history, ended, note)
+    return _result(problem, chosen, budgeted, results, check, history, ended, note)
 
 
 def _affordable(method: Method, least: float, budget: float) -> tuple[Method, str]:
@@ -174,15 +179,17 @@ def least_budget(method: Method, n: int, starts: int) -> int:
     """The budget that pays for the first step of a method without gradients, which n parameters
     are searched by from so many starts. Other methods fall back on CMA-ES."""
     first = (method if not method.needs else cma_es()).first
-    return math.ceil(AMONG + starts * first(Prices(math.nan, math.nan, math.nan), n))
+    return math.ceil(AMONG + starts * first(CostModel(math.nan, math.nan, math.nan), n))
 
 
-def _kept_prices(problem: Problem, method: Method, starts: int, journal: Path | None) -> Prices:
+def _kept_cost_model(
+    problem: Problem, method: Method, starts: int, log_folder: Path | None
+) -> CostModel:
     def ask() -> dict[str, float]:
-        return measure_prices(problem, method.needs, starts)._asdict()
+        return measure_cost_model(problem, method.needs, starts)._asdict()
 
-    found, _ = keep(journal, 1, f"prices {method.needs} {starts}", ask)
-    return Prices(**{name: float(value) for name, value in found.items()})
+    found, _ = keep(log_folder, 1, f"prices {method.needs} {starts}", ask)
+    return CostModel(**{name: float(value) for name, value in found.items()})
 
 
 def _starts(oracle: Oracle, problem: Problem, starts: int | np.ndarray, seed: int) -> np.ndarray:
@@ -204,96 +211,132 @@ def sobol_normal(seed: int, count: int, size: int) -> np.ndarray:
     return ndtri(np.clip(sobol_rows(seed, count, size, 0, count), TAIL, 1 - TAIL))
 
 
-def _price_of_check(prices: Prices, size: int, starts: int) -> float:
+def _cost_of_check(cost_model: CostModel, size: int, starts: int) -> float:
     """Units of `_check`; its Jacobian is the one that a search from one start begins with."""
-    jacobian = prices.curvature if starts > 1 else 0.0
+    jacobian = cost_model.curvature if starts > 1 else 0.0
     return 2 * DIRECTIONS * len(STEPS) + (jacobian if size <= FEW else DIRECTIONS)
 
 
-def _check(ledger: Ledger, problem: Problem, z: np.ndarray, seed: int) -> GradientCheck:
+def _check(budgeted: BudgetedOracle, problem: Problem, z: np.ndarray, seed: int) -> GradientCheck:
     """The check of the gradients at the first start. What it asks is kept and charged: differences
     as evaluations, slopes along directions as one each."""
     along = directions_of(len(z), DIRECTIONS, seed)
     if len(z) <= FEW:
-        found = make_oracle(ledger, problem).curvatures(z[None], np.zeros(1, int))
+        found = make_oracle(budgeted, problem).gauss_newton_model(z[None], np.zeros(1, int))
         slopes = along @ found.of_runs[0].T
     else:
         question = digest("directional", z, along)
         slopes = kept(
-            ledger, question, float(DIRECTIONS),
+            budgeted,
+            question,
+            float(DIRECTIONS),
             lambda: {"slopes": problems.directional(problem, z, along)},
-        )["slopes"]  # fmt: skip
+        )["slopes"]
     differences = []
     for step in STEPS:
         ends = np.concatenate([z + step * along, z - step * along])
         rows = np.full(len(ends), SCREENING)
-        costs = ask_all(ledger, problem, values_of, 1.0, ends, rows)["costs"]
+        costs = ask_all(budgeted, problem, values_of, 1.0, ends, rows)["costs"]
         differences.append((costs[:DIRECTIONS] - costs[DIRECTIONS:]).T / (2 * step))
-    return judged(problem.run_names, slopes.T, differences)
+    return compare_slopes(problem.run_names, slopes.T, differences)
 
 
 def _search(
-    ledger: Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
-    watch: Callable[[Progress], None], history: list[Progress],
-) -> str:  # fmt: skip
+    budgeted: BudgetedOracle,
+    problem: Problem,
+    method: Method,
+    begun: np.ndarray,
+    seed: int,
+    watch: Callable[[SearchProgress], None],
+    history: list[SearchProgress],
+) -> str:
     """Step until all starts are at their end or the budget is; which of them it was.
 
     history: every step is added to it, and what was still tried of one that could not be paid."""
 
     def tell(norms: np.ndarray) -> None:
-        history.append(_progress(ledger, norms, len(history)))
+        history.append(_progress(budgeted, norms, len(history)))
         watch(history[-1])
 
     try:
-        return _steps(ledger, problem, method, begun, seed, tell)
+        return _steps(budgeted, problem, method, begun, seed, tell)
     except BeyondBudget:
-        if history[-1].units < ledger.units:
+        if history[-1].simulations < budgeted.simulations:
             tell(np.full(len(begun), np.nan))
         return "the budget does not pay for the next step"
 
 
 def _steps(
-    ledger: Ledger, problem: Problem, method: Method, begun: np.ndarray, seed: int,
+    budgeted: BudgetedOracle,
+    problem: Problem,
+    method: Method,
+    begun: np.ndarray,
+    seed: int,
     tell: Callable[[np.ndarray], None],
-) -> str:  # fmt: skip
-    state = method.begin(make_oracle(ledger, problem), begun, seed)
+) -> str:
+    state = method.begin(make_oracle(budgeted, problem), begun, seed)
     while True:
         tell(state.gradient_norm)
         if np.all(state.done):
-            missed = problem.goals and min(b.key()[0] for b in ledger.best.values()) > 0
+            missed = problem.goals and min(b.key()[0] for b in budgeted.best.values()) > 0
             if not missed or problem.penalty * HARDER > HARDEST:
                 return "no start finds anything better"
             problem = problem._replace(penalty=problem.penalty * HARDER)
-            again = np.stack([ledger.best[row].z for row in range(len(begun))])
-            state = method.begin(make_oracle(ledger, problem), again, seed)
+            again = np.stack([budgeted.best[row].z for row in range(len(begun))])
+            state = method.begin(make_oracle(budgeted, problem), again, seed)
             continue
-        if ledger.units > TRIED * ledger.budget and len(problem.weights) == 1:
+        if budgeted.simulations > TRIED * budgeted.budget and len(problem.weights) == 1:
             state = state._replace(done=state.done | (state.value > BEHIND * np.min(state.value)))
-        state = method.step(make_oracle(ledger, problem), state)
+        state = method.step(make_oracle(budgeted, problem), state)
 
 
-def _progress(ledger: Ledger, norms: np.ndarray, step: int) -> Progress:
-    best = min(ledger.best.values(), key=Best.key)
+def _progress(budgeted: BudgetedOracle, norms: np.ndarray, step: int) -> SearchProgress:
+    best = min(budgeted.best.values(), key=Best.key)
     norms = norms[np.isfinite(norms)]
-    left = (ledger.budget - ledger.units) * ledger.seconds / max(ledger.units, 1.0)
-    return Progress(
-        step=step, units=ledger.units, budget=ledger.budget, seconds=ledger.seconds, left_s=left,
-        best=best.objective, gradient_norm=float(np.min(norms)) if len(norms) else np.nan,
-        violation=best.violation, z=best.z,
-    )  # fmt: skip
+    left = (
+        (budgeted.budget - budgeted.simulations) * budgeted.seconds / max(budgeted.simulations, 1.0)
+    )
+    return SearchProgress(
+        step=step,
+        simulations=budgeted.simulations,
+        budget=budgeted.budget,
+        seconds=budgeted.seconds,
+        left_s=left,
+        best=best.objective,
+        gradient_norm=float(np.min(norms)) if len(norms) else np.nan,
+        violation=best.violation,
+        z=best.z,
+    )
 
 
 def _result(
-    problem: Problem, method: Method, ledger: Ledger, starts: tuple[StartResult, ...],
-    check: GradientCheck | None, history: list[Progress], ended: str, note: str,
-) -> Tuned:  # fmt: skip
-    best = min(ledger.best.values(), key=Best.key)
+    problem: Problem,
+    method: Method,
+    budgeted: BudgetedOracle,
+    starts: tuple[StartResult, ...],
+    check: GradientCheck | None,
+    history: list[SearchProgress],
+    ended: str,
+    note: str,
+) -> SearchResult:
+    best = min(budgeted.best.values(), key=Best.key)
     assert problem.before is not None
     gains = problem.space.gains_of(jnp.asarray(best.z))
-    return Tuned(
-        method=method.name, n=problem.space.size, z=best.z, gains=gains,
-        before=float(problem.before.objective[0]), after=best.objective, violation=best.violation,
-        feasible=best.violation <= 0, units=ledger.units, seconds=ledger.seconds,
-        prices=ledger.prices, check=check, starts=starts, history=tuple(history), ended=ended,
+    return SearchResult(
+        method=method.name,
+        n=problem.space.size,
+        z=best.z,
+        gains=gains,
+        before=float(problem.before.objective[0]),
+        after=best.objective,
+        violation=best.violation,
+        feasible=best.violation <= 0,
+        simulations=budgeted.simulations,
+        seconds=budgeted.seconds,
+        cost_model=budgeted.cost_model,
+        check=check,
+        starts=starts,
+        history=tuple(history),
+        ended=ended,
         note=note,
-    )  # fmt: skip
+    )

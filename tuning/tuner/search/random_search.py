@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tuning.tuner.search.cost_model import Prices
+from tuning.tuner.search.cost_model import CostModel
 from tuning.tuner.search.method import Method, Oracle
 
 
@@ -41,7 +41,7 @@ def _step(sigma: float, batch: int, oracle: Oracle, state: RandomState) -> Rando
     )
 
 
-def _first(batch: int, prices: Prices, n: int) -> float:
+def _first(batch: int, cost_model: CostModel, n: int) -> float:
     return 1 + batch
 
 

@@ -12,44 +12,46 @@ from rich.progress import Progress as RichProgress
 from rich.table import Table
 
 from jaxstage.metrics.table import split_key
-from tuning.tuner.baselines import Course, course
+from tuning.tuner.baselines import ConvergenceCurve, convergence_curve
 from tuning.tuner.problem.search_space import Parameter, parameters
 from tuning.tuner.report import ACCEPTED, REFUSED, Extras, verdict_text
-from tuning.tuner.session import Now, Outcome, Watch
+from tuning.tuner.session import Observer, TrainingProgress, TuningResult
 
 #: parameters that are printed; tune.json has all
 MOST = 24
 
 
 @contextmanager
-def bar(budget: float) -> Iterator[Watch]:
+def bar(budget: float) -> Iterator[Observer]:
     """A bar on standard error: units spent, best objective, the same on other plants, norm of the
     gradient, time left."""
     columns = (
-        TextColumn("{task.description}"), BarColumn(24), TextColumn("{task.fields[told]}"),
+        TextColumn("{task.description}"),
+        BarColumn(24),
+        TextColumn("{task.fields[told]}"),
         TimeElapsedColumn(),
-    )  # fmt: skip
+    )
     with RichProgress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task("", total=budget, told="")
         spent = {"before": 0.0, "round": 0.0, "last": 0.0}
 
-        def step(now: Now) -> None:
+        def step(now: TrainingProgress) -> None:
             if now.round != spent["round"]:
                 spent.update(before=spent["before"] + spent["last"], round=now.round)
-            spent["last"] = now.progress.units
-            units = spent["before"] + now.progress.units
-            progress.update(task, completed=units, told=step_text(now, units, budget))
+            spent["last"] = now.progress.simulations
+            simulations = spent["before"] + now.progress.simulations
+            progress.update(task, completed=simulations, told=step_text(now, simulations, budget))
 
         def stage(text: str) -> None:
             progress.update(task, description=text)
 
-        yield Watch(step, stage)
+        yield Observer(step, stage)
 
 
-def step_text(now: Now, units: float, budget: float) -> str:
+def step_text(now: TrainingProgress, simulations: float, budget: float) -> str:
     """One line on a step."""
     one = now.progress
-    told = [f"{units:.0f}/{budget:.0f} units", f"best {one.best:.4g}"]
+    told = [f"{simulations:.0f}/{budget:.0f} units", f"best {one.best:.4g}"]
     if now.fresh is not None:
         told.append(f"other plants {now.fresh:.4g}")
     if math.isfinite(one.gradient_norm):
@@ -60,21 +62,21 @@ def step_text(now: Now, units: float, budget: float) -> str:
     return ", ".join(told)
 
 
-def show(outcome: Outcome, extras: Extras) -> None:
+def show(outcome: TuningResult, extras: Extras) -> None:
     """Print the verdict, the figures before and after, gains, and diagnostics."""
     console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 120)
     table, tuned = outcome.plan.table, outcome.tuned
     console.print(
-        f"[bold]{table['loop']}[/bold]  {tuned.method}, {tuned.n} parameters, {outcome.units:.0f} "
-        f"units in {outcome.seconds:.0f} s ({tuned.ended})"
+        f"[bold]{table['loop']}[/bold]  {tuned.method}, {tuned.n} parameters, "
+        f"{outcome.simulations:.0f} units in {outcome.seconds:.0f} s ({tuned.ended})"
     )
     verdict = "[green]accepted[/green]" if not outcome.refused else "[red]not accepted[/red]"
     console.print(f"{verdict}; held out: {verdict_text(outcome.held_out)}")
     for reason in outcome.refused:
         console.print(f"  {reason}")
-    before, after = outcome.chosen.trials.exact.objective
+    before, after = outcome.chosen.validation.exact.objective
     console.print(f"objective {table['objective']}: {before:.4g} before, {after:.4g} after")
-    console.print(_figures(outcome, extras))
+    console.print(_metrics(outcome, extras))
     console.print(_gains(parameters(outcome.problem.space, outcome.chosen.z)))
     for text in _diagnostics(outcome):
         console.print(text)
@@ -84,7 +86,7 @@ def show(outcome: Outcome, extras: Extras) -> None:
         console.print(_front(extras))
 
 
-def _figures(outcome: Outcome, extras: Extras) -> Table:
+def _metrics(outcome: TuningResult, extras: Extras) -> Table:
     rows = Table(box=None, padding=(0, 2), header_style="bold")
     for head, side in (("figure", "left"), ("before", "right"), ("after", "right"), ("", "left")):
         rows.add_column(head, justify=side, no_wrap=True)  # type: ignore[arg-type]
@@ -93,7 +95,7 @@ def _figures(outcome: Outcome, extras: Extras) -> Table:
         if not isinstance(value, dict) and name.startswith(("contour_", "ate", "energy_J")):
             rows.add_row(f"loop {shown}", _number(value), _number(extras.after[name]), unit)
     for name, (first, second) in outcome.held_out.others.items():
-        if name in (outcome.held_out.figure, "contour_max_um", "energy_J"):
+        if name in (outcome.held_out.metric, "contour_max_um", "energy_J"):
             shown, unit = split_key(name)
             rows.add_row(f"held out {shown}", _number(first), _number(second), unit)
     return rows
@@ -102,8 +104,12 @@ def _figures(outcome: Outcome, extras: Extras) -> Table:
 def _gains(found: tuple[Parameter, ...]) -> Table:
     rows = Table(box=None, padding=(0, 2), header_style="bold")
     for head, side in (
-        ("gain", "left"), ("before", "right"), ("after", "right"), ("range", "left"), ("", "left"),
-    ):  # fmt: skip
+        ("gain", "left"),
+        ("before", "right"),
+        ("after", "right"),
+        ("range", "left"),
+        ("", "left"),
+    ):
         rows.add_column(head, justify=side, no_wrap=True)  # type: ignore[arg-type]
     for p in found[:MOST]:
         bound = "on its bound" if p.at_bound else ""
@@ -115,7 +121,7 @@ def _gains(found: tuple[Parameter, ...]) -> Table:
     return rows
 
 
-def _diagnostics(outcome: Outcome) -> Iterator[str]:
+def _diagnostics(outcome: TuningResult) -> Iterator[str]:
     found = outcome.diagnostics
     if found.gradient_ok is not None:
         worst = max((found.gradient_error or {"": math.nan}).values())
@@ -130,16 +136,16 @@ def _diagnostics(outcome: Outcome) -> Iterator[str]:
     if found.starts_agree is not None:
         told = ", ".join(f"{value:.4g}" for value in found.starts)
         yield f"starts {'agree' if found.starts_agree else 'do NOT agree'}: {told}"
-    trials = outcome.chosen.trials
+    validation = outcome.chosen.validation
     for name, one in (
-        ("training runs, half the step", trials.half_step),
-        ("other plants, longer", trials.longer),
+        ("training runs, half the step", validation.half_step),
+        ("other plants, longer", validation.longer),
     ):
-        first, second = one.figure
-        yield f"{name}: {outcome.plan.figure} {first:.4g} -> {second:.4g}"
+        first, second = one.metric
+        yield f"{name}: {outcome.plan.metric} {first:.4g} -> {second:.4g}"
     if outcome.surrogate:
         first, second = outcome.surrogate
-        exact = trials.exact.objective
+        exact = validation.exact.objective
         yield (
             f"objective on the surrogate {first:.4g} -> {second:.4g}, on the exact model "
             f"{exact[0]:.4g} -> {exact[1]:.4g}"
@@ -160,16 +166,16 @@ def _named(labels: tuple[str, ...]) -> str:
     return ", ".join(shown) + more
 
 
-def _baselines(outcome: Outcome, others: tuple[Course, ...]) -> Table:
-    own = course(outcome.rounds[0].tuned)
+def _baselines(outcome: TuningResult, others: tuple[ConvergenceCurve, ...]) -> Table:
+    own = convergence_curve(outcome.rounds[0].tuned)
     every = (own, *others)
-    marks = [own.units[-1] * share for share in (0.1, 0.25, 0.5, 1.0)]
+    marks = [own.simulations[-1] * share for share in (0.1, 0.25, 0.5, 1.0)]
     rows = Table(box=None, padding=(0, 2), header_style="bold")
     rows.add_column("best objective after")
-    for units in marks:
-        rows.add_column(f"{units:.0f} units", justify="right", no_wrap=True)
+    for simulations in marks:
+        rows.add_column(f"{simulations:.0f} units", justify="right", no_wrap=True)
     for one in every:
-        rows.add_row(one.method, *(_number(one.at(units)) for units in marks))
+        rows.add_row(one.method, *(_number(one.at(simulations)) for simulations in marks))
     return rows
 
 
@@ -194,7 +200,7 @@ def _number(value: Any) -> str:
     return "-" if value is None or not math.isfinite(value) else f"{value:.4g}"
 
 
-def files_text(outcome: Outcome, names: list[str]) -> str:
+def files_text(outcome: TuningResult, names: list[str]) -> str:
     """What was written."""
     gains = REFUSED if outcome.refused else ACCEPTED
     return ", ".join((gains, "tune.json", "history.csv", *names))
