@@ -10,9 +10,9 @@ import html
 import importlib
 import inspect
 import os
+import pkgutil
 import re
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import latex2mathml.converter
@@ -21,12 +21,14 @@ import numpy as np
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 MARK = re.compile(r"^<!-- (\w+) ?(.*?) -->$", re.MULTILINE)
+#: modules inside a published study hold its numbers, which its page shows
+INNER = re.compile(r"jaxstage\.studies\.\w+\.")
 FORMULA = re.compile(r'<(div|span) class="arithmatex">\\(?:\[|\()(.*?)\\(?:\]|\))</\1>', re.DOTALL)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Replace the marks of a page."""
-    return MARK.sub(lambda found: GENERATORS[found[1]](*found[2].split()), markdown)
+    return MARK.sub(lambda mark: GENERATORS[mark[1]](*mark[2].split()), markdown)
 
 
 def on_page_content(content: str, **_: Any) -> str:
@@ -124,28 +126,24 @@ def values(loop: str, *roots: str) -> str:
 # --- fields ----------------------------------------------------------------------------------
 
 
+def modules(name: str) -> str:
+    """A module, or every module of a package, with all that is public in it."""
+    names = [name]
+    package = importlib.import_module(name)
+    if hasattr(package, "__path__"):
+        found = pkgutil.walk_packages(package.__path__, f"{name}.")
+        names += [m.name for m in found if not INNER.match(m.name)]
+    return "\n\n".join(f"::: {n}" for n in names)
+
+
 def fields(*names: str) -> str:
-    """A table for each pytree class, or for each that a module defines."""
-    return "\n\n".join(_fields(cls) for name in names for cls in _classes(name))
+    """A table for each pytree class."""
+    return "\n\n".join(_fields(_class(name)) for name in names)
 
 
-def _classes(name: str) -> list[type]:
+def _class(name: str) -> type:
     where, _, last = name.rpartition(".")
-    if last[0].isupper():
-        return [getattr(importlib.import_module(where), last)]
-    module = importlib.import_module(name)
-    return [
-        cls
-        for cls in vars(module).values()
-        if inspect.isclass(cls) and cls.__module__ == name and _described(cls)
-        and not cls.__name__.startswith("_")
-    ]  # fmt: skip
-
-
-def _described(cls: type) -> bool:
-    return dataclasses.is_dataclass(cls) and any(
-        {"quantity", "part"} & set(f.metadata) for f in dataclasses.fields(cls)
-    )
+    return getattr(importlib.import_module(where), last)
 
 
 def _fields(cls: type) -> str:
@@ -163,16 +161,15 @@ def _fields(cls: type) -> str:
             (f"`{field.name}`", quantity.symbol, _unit(quantity.unit), quantity.shape,
              allowed, quantity.doc)
         )  # fmt: skip
-    head = f"**{cls.__name__}**"
-    return head + "\n\n" + _table(("field", "symbol", "unit", "shape", "allowed", "meaning"), rows)
+    return _table(("field", "symbol", "unit", "shape", "allowed", "meaning"), rows)
 
 
-#: loops whose reports together hold every figure
+#: loops whose reports together hold every metric
 REPORTING = ("dfcmac-circle", "asmc-s1", "asmc-mrac", "af-pid-ccc")
 
 
-def figures() -> str:
-    """Every figure that a report of the library may hold: its column, and what it is."""
+def metric_keys() -> str:
+    """Every metric that a report of the library may hold: its column, and what it is."""
     from jaxstage.metrics.table import key
 
     rows = {}
@@ -186,7 +183,7 @@ def figures() -> str:
 
 
 def _reports(name: str) -> Iterable[type]:
-    """The classes in the report of a loop, those of its recorded figures too. Nothing is run."""
+    """The classes in the report of a loop, those of its recorded metrics too. Nothing is run."""
     import jax
 
     from jaxstage import find, together, with_metric
@@ -235,13 +232,6 @@ def _help(title: str, command: Any, parent: Any) -> str:
     return f"## {title}\n\n```text\n{text}\n```"
 
 
-def readme(*words: str) -> str:
-    """A section of the README, without its title: what is stated there stands nowhere twice."""
-    text = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
-    section = text.split(f"\n## {' '.join(words)}\n", 1)[1]
-    return section.split("\n## ", 1)[0].strip()
-
-
 # --- tables ----------------------------------------------------------------------------------
 
 
@@ -270,6 +260,17 @@ def _cell(text: str) -> str:
 
 
 GENERATORS: dict[str, Callable[..., str]] = {
-    "source": source, "counts": counts, "claims": claims, "loops": loops, "spreads": spreads,
-    "values": values, "fields": fields, "figures": figures, "commands": commands, "readme": readme,
-}  # fmt: skip
+    maker.__name__: maker
+    for maker in (
+        source,
+        counts,
+        claims,
+        loops,
+        spreads,
+        values,
+        fields,
+        modules,
+        metric_keys,
+        commands,
+    )
+}

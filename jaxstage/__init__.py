@@ -18,7 +18,7 @@ stability    eigenvalues of one tick             runtime      precision, devices
 plot         pictures (imports matplotlib)      testing      the contract of a law, as checks
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 from jaxstage.metrics import columns as columns
 from jaxstage.metrics import record as record

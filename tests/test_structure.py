@@ -338,3 +338,25 @@ def test_the_gate_runs_the_commands_of_the_readme():
     found = [next((line for line in lines if text in line), None) for text in wanted]
     assert all(found), wanted
     assert "pytest" in found[0] and "jaxstage run" in found[1]
+
+
+@pytest.mark.fast
+def test_one_version_which_the_changelog_explains():
+    """Stored results are compared by the version, so each one says what changed."""
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    newest = re.findall(r"^## (\S+)$", text, re.MULTILINE)[0]
+    assert newest == jaxstage.__version__
+    stated = [
+        file
+        for file in (*FILES, ROOT / "pyproject.toml", ROOT / "CITATION.cff")
+        if re.search(rf"""["']{re.escape(newest)}["']""", file.read_text(encoding="utf-8"))
+    ]
+    assert stated == [ROOT / "jaxstage" / "__init__.py"]
+
+
+@pytest.mark.fast
+def test_the_readme_is_one_page():
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 150
+    links = re.findall(r"\]\(([^)#:]+)\)", "\n".join(lines))
+    assert links and all((ROOT / link).exists() for link in links)

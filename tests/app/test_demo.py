@@ -13,6 +13,7 @@ from jaxstage.plot.pictures import save
 from tests.app.test_front import read
 from tests.helpers.commanding import command as command
 from tests.helpers.commanding import few_figures, strict_json
+from tests.helpers.documented import undocumented
 from tuning.app.main import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
@@ -105,9 +106,7 @@ def test_stopped_and_gone_on_with(command, small):
     check_report(folder, found)
     again = command(*words, "--json")
     assert again.status == 0 and again.json == found and begun == every
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for key in {*found, *found["loops"][0], *found["stages"][0]}:
-        assert f"`{key}`" in readme, f"README does not say what {key} is"
+    assert not undocumented({*found, *found["loops"][0], *found["stages"][0]})
 
 
 def check_sweeps(folder, found):

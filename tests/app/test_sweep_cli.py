@@ -11,6 +11,7 @@ import jaxstage as js
 from jaxstage.metrics import tracking
 from tests.helpers.commanding import command as command
 from tests.helpers.commanding import few_figures, strict_json
+from tests.helpers.documented import undocumented
 from tuning.store.prepare import prepare
 from tuning.store.run_result import write_settings
 from tuning.sweeps import replays, store
@@ -90,13 +91,11 @@ def keys_of(found, inside=()):
                 yield from keys_of(inner)
 
 
-def test_the_readme_documents_every_key(command, shared):
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+def test_every_key_is_documented(command, shared):
     found = swept(command, shared)
     replayed = command("replay", shared, "--run", "3", "--json").json
     extra = ("s1", "s1_error", "st", "st_error", "nominal", "sweep_low", "sweep_high")
-    for key in {*keys_of(found), *keys_of(replayed), *extra}:
-        assert f"`{key}`" in readme, f"README does not say what {key} is"
+    assert not undocumented({*keys_of(found), *keys_of(replayed), *extra})
 
 
 def test_a_stopped_sweep_goes_on_without_its_words(command, shared):

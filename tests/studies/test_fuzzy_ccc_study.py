@@ -2,7 +2,6 @@
 
 import json
 import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +37,7 @@ from jaxstage.studies.fuzzy_ccc.experiments import (
 )
 from jaxstage.studies.fuzzy_ccc.loops import TIMING, build, law
 from jaxstage.studies.fuzzy_ccc.variants import of_adaptive, of_none, of_pid
+from tests.helpers.documented import undocumented
 from tuning.app import main as cli
 
 pytestmark = pytest.mark.long
@@ -125,8 +125,7 @@ def test_run_on_the_command_line(monkeypatch, capsys):
         "contour_derivative_end_1_per_s", "sliding_mean_mm_per_s", "energy_J",
     ):  # fmt: skip
         assert metrics[key] is not None, key
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    assert not [key for key in metrics if f"`{key}`" not in readme]
+    assert not undocumented(metrics)
 
 
 def test_rules_are_readable_before_and_after(recorded):

@@ -1,7 +1,5 @@
 """The loops of the MRAC / ASMC study: keys, refusals, a lost run, timing, and two axes."""
 
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.contouring import RADIUS, circled, contour_errors
 from jaxstage.studies.mrac_asmc.loops import law as law_called
 from jaxstage.studies.mrac_asmc.loops import loops
+from tests.helpers.documented import undocumented
 from tuning.store.prepare import execute, prepare
 
 #: the metrics of the published tables: error, chattering, what adapts, change of the command
@@ -24,7 +23,6 @@ TABLES = {
     "drive_glitch_max_um", "command_variation_Nm_per_s", "energy_copper_J",
 }  # fmt: skip
 ADAPTED = {"switching_gain_end_m_per_s2", "sharpness_end_s_per_m", "surface_slope_end_1_per_s"}
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_json_of_a_run():
@@ -36,7 +34,7 @@ def test_the_json_of_a_run():
     assert 0 < figures["drive_chattering_um"]["x"] < 0.1
     assert figures["drive_reversals"]["x"] == 3 and not result["notes"]
     assert not any(key.startswith("contour") for key in figures)
-    assert all(f"`{key}`" in README for key in figures)
+    assert not undocumented(figures)
 
 
 @pytest.mark.fast
@@ -47,7 +45,7 @@ def test_every_loop_shows_what_the_tables_have():
         first = case.loop.reference.sample(case.path, jnp.asarray(0))
         keys = set(columns(case.metric.finish(case.metric.init(first)), case.loop.plant))
         assert keys >= TABLES and (keys >= ADAPTED) == ("asmc" in loop.name or "sim" in loop.name)
-        assert all(f"`{key}`" in README for key in keys)
+        assert not undocumented(keys)
         assert loop.name.endswith("-motor") == ("motor" in case.loop.plant.name)
         assert (case.scenario.drive.delay == 1) == ("-r" in loop.name)
         assert [recorded.metric.name for recorded in loop.recorded] == ["recorded_drive_error"]

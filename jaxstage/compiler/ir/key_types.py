@@ -4,7 +4,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.core import ShapedArray as ShapedArray
 
 
 def is_key_type(dtype: Any) -> bool:
