@@ -190,7 +190,7 @@ def gains_survive_a_file(gains: Any) -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "gains.toml"
         file.write_text(to_toml({"gains": changed}))
-        back, _, _, paths = apply(cast(gains), scenario, read_toml(file))
+        back, _, _, paths = apply(cast(gains), scenario, read_toml(file).values)
     assert jax.tree.structure(back) == jax.tree.structure(changed), "the structure changed"
     assert len(paths) == len(jax.tree.leaves(gains)), "not every gain is in the file"
     jax.tree.map(np.testing.assert_array_equal, back, changed)

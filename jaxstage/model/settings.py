@@ -6,7 +6,7 @@ import textwrap
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -151,15 +151,55 @@ def with_leaf(tree: Any, names: list[str], value: Any) -> Any:
     return type(tree)(items)
 
 
-def read_toml(file: Path) -> dict[str, Any]:
-    """Settings of a TOML file as dotted name -> value.
+class TomlFile(NamedTuple):
+    """A TOML file, read once: a pipe gives its text only once.
 
-    Raises ValueError, one line with file and line number, when it cannot be read.
+    values: dotted name -> value. text: what they were read from, for the line of an error.
     """
+
+    file: Path
+    text: str
+    values: dict[str, Any]
+
+    def place(self, name: str, number: int = 0) -> str:
+        """``file:line`` of a key by its dotted name, or of a [table], of which a list of tables has
+        a ``number``-th, counted from 0. Line 1 where it is not found."""
+        return f"{self.file}:{self._line(name, number)}"
+
+    def _line(self, name: str, number: int) -> int:
+        table, similar = "", 1
+        for at, line in enumerate(self.text.splitlines(), start=1):
+            content = line.split("#")[0].strip()
+            header = _HEADER.fullmatch(content)
+            if header:
+                table, number = _dotted(header[1]), number - (_dotted(header[1]) == name)
+                if table == name and number < 0:
+                    return at
+            elif "=" in content:
+                key = _dotted(content.split("=")[0])
+                full = f"{table}.{key}" if table else key
+                if full == name or name.startswith(f"{full}."):  # a table within braces
+                    return at
+                if similar == 1 and full.rpartition(".")[2] == name.rpartition(".")[2]:
+                    similar = at
+        return similar
+
+
+#: the line that begins a table, or one of a list of tables
+_HEADER = re.compile(r"\[\[?([^\[\],]+)\]\]?")
+
+
+def _dotted(text: str) -> str:
+    """A key as TOML writes it, without quotes and blanks."""
+    return ".".join(part.strip("\"' ") for part in text.split("."))
+
+
+def read_toml(file: Path) -> TomlFile:
+    """Read a TOML file. Raises ValueError, one line with file and line number, where it cannot."""
     text = ""
     try:
         text = file.read_text(encoding="utf-8")
-        return _flat(tomllib.loads(text), "")
+        return TomlFile(file, text, _flat(tomllib.loads(text), ""))
     except FileNotFoundError:
         raise ValueError(f"{file}: no such file") from None
     except OSError as error:
@@ -176,15 +216,6 @@ def _flat(table: Mapping[str, Any], prefix: str) -> dict[str, Any]:
         path = f"{prefix}.{name}" if prefix else name
         flat |= _flat(value, path) if isinstance(value, Mapping) else {path: value}
     return flat
-
-
-def line_of(file: Path, name: str) -> int:
-    """The first line of a TOML file whose key ends with the last part of a dotted name."""
-    field = name.rpartition(".")[2]
-    for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), start=1):
-        if line.split("=")[0].strip().rpartition(".")[2].strip("\"' ") == field:
-            return number
-    return 1
 
 
 def nested(tree: Any) -> Any:

@@ -12,11 +12,13 @@ from jaxstage.metrics import tracking
 from tests.helpers.commanding import command as command
 from tests.helpers.commanding import few_figures, strict_json
 from tests.helpers.documented import undocumented
+from tuning.store.gains_file import read_gains
 from tuning.store.prepare import prepare
 from tuning.store.run_result import write_settings
 from tuning.sweeps import replays, store
 from tuning.sweeps.configuration import build
 from tuning.sweeps.sensitivity import tornado
+from tuning.uncertainty.scenario_file import read_scenario
 
 #: two laws, eight plants, 200 ticks
 SHORT = ("--set", "lap_time=0.02", "--set", "laps=1", "--set", "scored=0")
@@ -149,7 +151,8 @@ def test_replay_gives_the_rows_back_and_what_run_takes(command, shared, tmp_path
     assert "identical to its row" in one.out
     folder = tmp_path / "again" / "pi-circle-run-3"
     words = [word for word in SHORT if word != "--set"]
-    case = prepare("pi-circle", words, folder / "gains.toml", folder / "scenario.toml").case
+    gains, scenario = read_gains(folder / "gains.toml"), read_scenario(folder / "scenario.toml")
+    case = prepare("pi-circle", words, gains, scenario).case
     wanted = replays.machine(plan_of(shared), 0, 3)
     same = jax.tree.map(
         np.array_equal, (case.gains, case.scenario.plant), (wanted.gains, wanted.scenario.plant)

@@ -15,7 +15,7 @@ from tests.app.test_front import read
 from tests.helpers.commanding import command as command
 from tests.helpers.commanding import strict_json
 from tests.helpers.documented import undocumented
-from tuning.store.gains_file import read_tuned
+from tuning.store.gains_file import read_gains, read_tuned
 from tuning.store.prepare import prepare
 from tuning.tuner.search.pareto_front import non_dominated
 
@@ -139,7 +139,7 @@ def test_the_gains_are_taken_back(command, shared):
     (file,) = shared.glob("*gains.toml")
     assert file.name == ("gains.toml" if found["accepted"] else "refused-gains.toml")
     words = [word for word in WORDS[:6] if word != "--set"]
-    gains = prepare("pi-circle", words, gains_file=file).case.gains
+    gains = prepare("pi-circle", words, gains=read_gains(file)).case.gains
     slopes = [found["gains"][f"gains.slope {axis}"]["value"] for axis in "xy"]
     assert np.array_equal(gains.slope, slopes)
     assert [one.symbol for one in read_tuned(file)] == ["K", "c1"]
@@ -192,7 +192,7 @@ def test_trade_offs(command, shared):
     assert [row["on_front"] == "True" for row in rows] == kept
     words = [word for word in WORDS[:6] if word != "--set"]
     for i in range(len(points)):
-        prepare("pi-circle", words, gains_file=shared / "pareto" / f"gains-{i}.toml")
+        prepare("pi-circle", words, gains=read_gains(shared / "pareto" / f"gains-{i}.toml"))
 
 
 def test_the_same_again_goes_on_and_another_configuration_says_what_differs(

@@ -18,7 +18,6 @@ from jaxstage.model.settings import (
     SCENARIO_PARTS,
     apply,
     known_leaves,
-    line_of,
     nearest_name,
     plain_toml,
     read_toml,
@@ -28,7 +27,9 @@ from jaxstage.model.settings import (
 from jaxstage.studies.fuzzy_cmac.loops import dfcmac_gains, scenario
 from tests.helpers.batteries import cast
 from tuning.store import prepare as runs
+from tuning.store.gains_file import read_gains
 from tuning.uncertainty.case_table import case_of, case_table
+from tuning.uncertainty.scenario_file import read_scenario
 from tuning.uncertainty.uncertain_space import uncertain_leaves
 
 GAINS = cast(dfcmac_gains())
@@ -217,7 +218,7 @@ def test_toml_gives_back_every_bit(tmp_path_factory, drawn):
 
     gains, scene = jax.tree.map(fill, (GAINS, SCENE))
     file = write(tmp_path_factory.mktemp("toml"), gains, scene)
-    back = apply(GAINS, SCENE, read_toml(file))
+    back = apply(GAINS, SCENE, read_toml(file).values)
     assert set(back[3]) == set(KNOWN)
     for path in KNOWN:
         expected, got = value(path, gains, scene), value(path, *back[:2])
@@ -229,7 +230,7 @@ def test_toml_keeps_infinity_and_single_precision(tmp_path):
         lambda x: jnp.asarray(np.float32(x) / np.float32(3)), cast(GAINS, jnp.float32)
     )
     file = write(tmp_path, gains, SCENE)
-    back, scene, _, _ = apply(cast(GAINS, jnp.float32), SCENE, read_toml(file))
+    back, scene, _, _ = apply(cast(GAINS, jnp.float32), SCENE, read_toml(file).values)
     assert scene.sensor.bandwidth == jnp.inf and (scene.drive.limit == jnp.inf).all()
     jax.tree.map(np.testing.assert_array_equal, back, gains)
 
@@ -269,9 +270,10 @@ def test_files_that_cannot_be_read(tmp_path):
 def test_line_of_a_setting(tmp_path):
     file = tmp_path / "some.toml"
     file.write_text("# slope = 7\n[gains]\nrate = 3\n'slope' = [1,\n 2]\nplant.mass = 1\n")
-    assert line_of(file, "gains.slope") == 4
-    assert line_of(file, "gains.rate") == 3
-    assert line_of(file, "gains.plant.mass") == 6
+    toml = read_toml(file)
+    assert toml.place("gains.slope") == f"{file}:4"
+    assert toml.place("gains.rate") == f"{file}:3"
+    assert toml.place("gains.plant.mass") == f"{file}:6"
 
 
 @pytest.mark.parametrize(
@@ -290,7 +292,7 @@ def test_a_bad_file_names_file_line_and_range(tmp_path, text, line, says):
     file = tmp_path / "gains.toml"
     file.write_text(text)
     with pytest.raises(ValueError, match=says) as caught:
-        runs.prepare("dfcmac-circle", ["lap_time=0.01"], gains_file=file)
+        runs.prepare("dfcmac-circle", ["lap_time=0.01"], gains=read_gains(file))
     assert str(caught.value).startswith(f"{file}:{line}: ")
 
 
@@ -299,7 +301,7 @@ def test_a_bad_seed_names_file_line_and_range(tmp_path, seed):
     file = tmp_path / "scenario.toml"
     file.write_text(f"# draws\nseed = {seed}\n")
     with pytest.raises(ValueError, match=r"seed = .*must be a whole number") as caught:
-        runs.prepare("dfcmac-circle", ["lap_time=0.01"], scenario_file=file)
+        runs.prepare("dfcmac-circle", ["lap_time=0.01"], scenario=read_scenario(file))
     assert str(caught.value).startswith(f"{file}:2: ")
 
 
@@ -312,8 +314,8 @@ def test_both_files_give_back_a_case(tmp_path):
 
     write_settings(tmp_path, case, {})
     back = runs.prepare(
-        "dfcmac-circle", ["lap_time=0.01", "laps=1"], tmp_path / "gains.toml",
-        tmp_path / "scenario.toml",
+        "dfcmac-circle", ["lap_time=0.01", "laps=1"], read_gains(tmp_path / "gains.toml"),
+        read_scenario(tmp_path / "scenario.toml"),
     ).case  # fmt: skip
     jax.tree.map(np.testing.assert_array_equal, back.gains, case.gains)
     for name in SCENARIO_PARTS:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import jaxstage as js
 from jaxstage.model.settings import read_toml
 from jaxstage.model.signals import Measurement
-from tuning.store.gains_file import TunedGain, read_tuned, to_text
+from tuning.store.gains_file import TunedGain, read_gains, read_tuned, to_text
 from tuning.store.prepare import prepare
 from tuning.tuner.evidence.diagnostics import effects
 from tuning.tuner.evidence.worst_case import worst_of
@@ -129,8 +129,8 @@ def test_tuned_gains_come_back_to_the_last_bit(tmp_path):
     assert found.gain == "gains.slope" and found.symbol == "c1" and found.unit == "1/s"
     assert found.low.tolist() == [0.1, 0.1] and found.high.tolist() == [9.0, 10.0]
     assert found.before.tolist() == [1.0, 1.0]
-    assert read_toml(file)["tuned"][0]["low"] == 0.1, "one number where all agree"
-    again = prepare("cmac-star", [], gains_file=file).case.gains
+    assert read_toml(file).values["tuned"][0]["low"] == 0.1, "one number where all agree"
+    again = prepare("cmac-star", [], gains=read_gains(file)).case.gains
     assert np.array_equal(again.slope, slope) and np.array_equal(again.weights, gains.weights)
 
 

@@ -13,6 +13,8 @@ import pytest
 import jaxstage as js
 from jaxstage.metrics import columns
 from tuning.app.compare_command import find_study, gains_files, other_gains
+from tuning.store.gains_file import NO_GAINS
+from tuning.store.prepare import prepare
 from tuning.tuner.evidence.validation import (
     PairedRuns,
     Validation,
@@ -38,6 +40,7 @@ from tuning.tuner.problem.scenario_set import (
 )
 from tuning.tuner.problem.set_file import ScenarioSets, read_sets, refuse_overlap
 from tuning.tuner.session import missed_goals
+from tuning.uncertainty.scenario_file import NO_SCENARIO
 
 #: laps of 50 ms: paths of 500 ticks
 FAST = ("lap_time=0.05", "laps=1", "scored=0")
@@ -45,13 +48,17 @@ FAST = ("lap_time=0.05", "laps=1", "scored=0")
 
 @functools.cache
 def loop_spec(loop="pi-circle", words=FAST):
-    spreads, correlations = spreads_of(loop, None)
-    return LoopSpec(loop, words, None, None, tuple(spreads), tuple(correlations), 7)
+    spreads = tuple(spreads_of(loop, NO_SCENARIO))
+    return LoopSpec(loop, words, NO_GAINS, NO_SCENARIO, spreads, 7)
+
+
+def sets_of(file, spec):
+    return read_sets(file, spec, prepare(spec.loop, spec.words).case)
 
 
 @functools.cache
 def default():
-    return read_sets(None, loop_spec())
+    return sets_of(None, loop_spec())
 
 
 def set_spec(**changes):
@@ -105,7 +112,7 @@ def test_the_held_out_runs_are_apart():
 
 
 def test_without_another_contour_the_motion_is_spread():
-    sets = read_sets(None, loop_spec("none", ()))
+    sets = sets_of(None, loop_spec("none", ()))
     paths = [spread["path"] for spread in sets.held_out.spreads]
     assert [c.loop for c in sets.held_out.contours] == ["none"]
     assert {"reference.radius", "reference.turn_rate", "reference.climb_rate"} < set(paths)
@@ -199,7 +206,7 @@ noise_seeds = 2
 def test_a_file_says_what_it_says_and_defaults_the_rest(tmp_path):
     file = tmp_path / "train.toml"
     file.write_text(FILE)
-    sets = read_sets(file, loop_spec())
+    sets = sets_of(file, loop_spec())
     train, held_out = sets
     assert [c.loop for c in train.contours] == ["pi-circle", "pi-star"]
     assert train.horizons == () and train.skip is None, "the timing of the contours counts"
@@ -214,7 +221,7 @@ def test_the_file_of_the_documentation_is_read(tmp_path):
     (block,) = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
     file = tmp_path / "train.toml"
     file.write_text(block)
-    train, held_out = read_sets(file, loop_spec("dfcmac-circle"))
+    train, held_out = sets_of(file, loop_spec("dfcmac-circle"))
     assert train.contours == (ContourSpec("dfcmac-circle", ("lap_time=1",)),)
     assert train.horizons == (1.0,) and train.skip == 0.2 and len(train.spreads) == 1
     assert held_out.plants == 100 and held_out.dealt
@@ -247,14 +254,14 @@ def test_a_wrong_file_is_one_line_with_its_place(tmp_path, case):
     file = tmp_path / "train.toml"
     file.write_text(text + "\n")
     with pytest.raises(ValueError) as told:
-        read_sets(file, loop_spec())
+        sets_of(file, loop_spec())
     assert str(told.value).startswith(str(file)) and says in str(told.value)
     assert "\n" not in str(told.value)
 
 
 def test_a_missing_file_and_a_held_out_set_that_is_no_other():
     with pytest.raises(ValueError, match="no such file"):
-        read_sets(Path("none.toml"), loop_spec())
+        sets_of(Path("none.toml"), loop_spec())
     same = ScenarioSets(set_spec(), set_spec())
     with pytest.raises(ValueError, match="the held-out set is the training set"):
         refuse_overlap(same)

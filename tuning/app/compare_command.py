@@ -20,6 +20,7 @@ from jaxstage.studies.comparison import stored_verdicts
 from jaxstage.studies.experiment import ChartDrawing, RunDrawing, measure
 from jaxstage.system.files import write_text
 from jaxstage.system.runtime import cpu_cores
+from tuning.store.gains_file import read_gains
 from tuning.store.prepare import prepare
 
 COLOURS = {"holds": "green", "fails": "red", "unchecked": "dim"}
@@ -66,8 +67,8 @@ def other_gains(given: Mapping[str, Path], words: Sequence[str] = ()) -> tuple[O
     """Simulate loops with the gains of their study and of files. words: as for ``--set``."""
     cases = {}
     for loop, file in given.items():
-        cases[f"{loop}/study"] = prepare(loop, list(words)).case
-        cases[f"{loop}/given"] = prepare(loop, list(words), file).case
+        cases[f"{loop}/study"] = prepare(loop, words).case
+        cases[f"{loop}/given"] = prepare(loop, words, read_gains(file)).case
     found = measure(cases)
     return tuple(
         OtherGains(loop, str(file), found[f"{loop}/study"], found[f"{loop}/given"])

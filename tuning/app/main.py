@@ -201,13 +201,22 @@ def run(
     ] = None,
 ) -> None:
     """Simulate one loop: verdict, metrics, pictures."""
+    from jaxstage.model.fields import replace
     from jaxstage.system.runtime import configure
     from tuning.store import prepare as runs
+    from tuning.store.gains_file import read_gains
+    from tuning.uncertainty.scenario_file import read_scenario
 
     configure(precision=precision, cache="default")
     if precision == "single" and not force:
         runs.refuse_rough(loop)
-    prepared = runs.prepare(loop, set_ or [], gains, scenario, duration)
+    prepared = runs.prepare(
+        loop,
+        set_ or [],
+        read_gains(gains),
+        read_scenario(scenario),
+        lambda timing: timing if duration is None else replace(timing, duration=duration),
+    )
     if out is not None:
         runs.check_folder(out)
     result = runs.execute(prepared, out)
@@ -366,10 +375,12 @@ def export(
         raise ValueError("--out DIR is needed: it gets the C files")
     configure(precision="double", cache="default")
     from tuning.app import export_command as exports
+    from tuning.store.gains_file import read_gains
+    from tuning.uncertainty.scenario_file import read_scenario
 
     runs.check_folder(out)
     exports.check_folder(out)
-    prepared = runs.prepare(loop, set_ or [], gains, scenario)
+    prepared = runs.prepare(loop, set_ or [], read_gains(gains), read_scenario(scenario))
     made = exports.export(prepared.case, out, precision == "single", axis, prefix)
     for note in prepared.notes:
         print(f"jaxstage: {note}", file=sys.stderr)

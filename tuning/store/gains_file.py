@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxstage.model.settings import line_of, nested, plain_toml, read_toml
+from jaxstage.model.settings import TomlFile, nested, plain_toml, read_toml
 from jaxstage.studies import Case
 
 #: what such a file holds beside gains
@@ -54,14 +54,40 @@ def to_text(
     return head + plain_toml(content | ({"tuned": tables} if tables else {}))
 
 
-def refuse_other_law(file: Path, case: Case) -> None:
-    """Raise ValueError for a file that names another law than that of the case."""
-    law, own = read_toml(file).get(LAW), case.loop.controller.name
-    if law not in (None, own):
-        raise ValueError(
-            f"{file}:{line_of(file, LAW)}: these are gains of {law}, the law of {case.name} is "
-            f"{own}; a file without this line is taken for any law"
-        )
+class GainsFile(NamedTuple):
+    """A file of gains, read once; without a file, what changes nothing.
+
+    Attributes:
+        toml: The file, for the places of errors; None where there is none.
+        law: The law that the gains are of; None where the file does not say.
+        values: Gains by dotted name, SI: numbers or nested lists.
+    """
+
+    toml: TomlFile | None = None
+    law: str | None = None
+    values: Mapping[str, Any] = {}
+
+    def refuse_other_law(self, case: Case) -> None:
+        """Raise ValueError where the file names another law than that of the case."""
+        own = case.loop.controller.name
+        if self.toml and self.law not in (None, own):
+            raise ValueError(
+                f"{self.toml.place(LAW)}: these are gains of {self.law}, the law of {case.name} is "
+                f"{own}; a file without this line is taken for any law"
+            )
+
+
+#: nothing is said
+NO_GAINS = GainsFile()
+
+
+def read_gains(file: Path | None) -> GainsFile:
+    """Read a file of gains, or none. Raises ValueError in one line, with its place."""
+    if file is None:
+        return NO_GAINS
+    toml = read_toml(file)
+    values = {k: v for k, v in toml.values.items() if k.partition(".")[0] not in NOTES}
+    return GainsFile(toml, toml.values.get(LAW), values)
 
 
 def _plain(values: np.ndarray) -> Any:
@@ -73,7 +99,7 @@ def _plain(values: np.ndarray) -> Any:
 
 def read_tuned(file: Path) -> list[TunedGain]:
     """What a file says of the gains that were tuned. Raises ValueError for one without."""
-    tables = read_toml(file).get("tuned", [])
+    tables = read_toml(file).values.get("tuned", [])
     if not isinstance(tables, list) or not tables:
         raise ValueError(f"{file} holds no [[tuned]] gains")
     return [_tuned(table) for table in tables]

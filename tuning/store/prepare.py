@@ -2,7 +2,8 @@
 
 import math
 import os
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,9 +21,10 @@ from jaxstage.studies import Case, Timing, all_studies, find, with_metric
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
 from jaxstage.studies.study import NamedLoop
 from jaxstage.system.files import write_text
-from tuning.store.gains_file import NOTES, refuse_other_law
+from tuning.store.gains_file import NO_GAINS, GainsFile
 from tuning.store.run_result import summary, write_settings
-from tuning.uncertainty.scenario_file import NOT_VALUES, with_file_blocks
+from tuning.uncertainty.scenario_blocks import with_max_delay
+from tuning.uncertainty.scenario_file import NO_SCENARIO, ScenarioFile
 
 #: settings that belong to the timing, with their units; those without one are whole numbers
 TIMING = {
@@ -55,40 +57,40 @@ def refuse_rough(name: str) -> None:
 
 def prepare(
     loop: str,
-    words: list[str],
-    gains_file: Path | None = None,
-    scenario_file: Path | None = None,
-    duration: float | None = None,
+    words: Sequence[str],
+    gains: GainsFile = NO_GAINS,
+    scenario: ScenarioFile = NO_SCENARIO,
     retimed: Callable[[Timing], Timing] = lambda timing: timing,
 ) -> Prepared:
-    """Build a loop and apply files first, then ``NAME=VALUE`` words.
+    """Build a loop, apply files first, then ``NAME=VALUE`` words, and validate what comes out.
 
-    retimed: changes the timing that the words ask for. Raises ValueError in one line for anything
-    unknown, ambiguous or out of range.
+    Args:
+        loop: A name of `jaxstage list`.
+        words: As for ``--set``.
+        gains: Of ``--gains``.
+        scenario: Of ``--scenario``; its spreads do not matter here.
+        retimed: Changes the timing that the words ask for.
+
+    Raises:
+        ValueError: In one line, with its place, for anything unknown, ambiguous or out of range.
     """
     entry = find(loop)
-    given = dict(_word(word) for word in words)
-    timing = _timing(entry.timing, {k: v for k, v in given.items() if k in TIMING}, duration)
-    published = case = entry.build(retimed(timing))
-    if scenario_file is not None:
-        published = case = with_file_blocks(case, scenario_file)
-    if gains_file is not None:
-        refuse_other_law(gains_file, case)
-    changed: tuple[str, ...] = ()
-    for file, roots, others in (
-        (gains_file, ("gains",), NOTES),
-        (scenario_file, settings.SCENARIO_PARTS, NOT_VALUES),
-    ):
-        if file is not None:
-            case, paths = _from_file(case, file, roots, others)
-            changed += paths
-    words_of_values = {k: v for k, v in given.items() if k not in TIMING}
-    values = {k: _numbers(k, v, _unit(case, k)) for k, v in words_of_values.items()}
-    case, paths = _applied(case, values, tuple(TIMING))
-    changed += paths
-    check(case.loop, case.gains, case.scenario, case.path)
-    _check_motion(case, paths)
-    return Prepared(case, entry, _notes(published, case, changed))
+    settled = dict(_word(word) for word in words)
+    timing = _timing(entry.timing, {k: v for k, v in settled.items() if k in TIMING})
+    case = published = scenario.with_blocks(entry.build(retimed(timing)))
+    gains.refuse_other_law(case)
+    if scenario.seed is not None:
+        key = jax.random.key(scenario.seed)
+        case = case._replace(scenario=replace(case.scenario, key=key))
+    case, places = _from_file(case, gains, ("gains",))
+    case, more = _from_file(case, scenario, settings.SCENARIO_PARTS)
+    values = {k: _numbers(k, v, _unit(case, k)) for k, v in settled.items() if k not in TIMING}
+    case, by_words = _applied(case, values, tuple(TIMING))
+    places |= more | dict.fromkeys(by_words, "")
+    case = with_max_delay(case, _delay(case))
+    _check(case, places)
+    _check_motion(case, by_words)
+    return Prepared(case, entry, _notes(published, case, tuple(places)))
 
 
 def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
@@ -180,12 +182,11 @@ def _unit(case: Case, name: str) -> str:
     return in_units_of(quantity, case.loop.plant.command_unit).unit
 
 
-def _timing(own: Timing, words: Mapping[str, str], duration: float | None) -> Timing:
+def _timing(own: Timing, words: Mapping[str, str]) -> Timing:
     """The loop's own timing with changes; naming the scored lap drops its ``skip``, naming the
     laps its ``duration``."""
-    values: dict[str, Any] = {} if duration is None else {"duration": duration}
-    values |= {"skip": None} if "scored" in words else {}
-    values |= {"duration": None} if "laps" in words and duration is None else {}
+    values: dict[str, Any] = {"skip": None} if "scored" in words else {}
+    values |= {"duration": None} if "laps" in words else {}
     for one, other in (("lap_time", "feed"), ("scored", "skip")):
         if one in words and other in words:
             raise ValueError(f"--set {one} and --set {other}: give one of them")
@@ -203,32 +204,42 @@ def _timing(own: Timing, words: Mapping[str, str], duration: float | None) -> Ti
 
 
 def _from_file(
-    case: Case, file: Path, roots: tuple[str, ...], others: tuple[str, ...]
-) -> tuple[Case, tuple[str, ...]]:
-    """The case with the values of a file. roots: its tables of values; others: not looked at."""
-    content = settings.read_toml(file)
-    values = {name: v for name, v in content.items() if name.partition(".")[0] not in others}
-    if "seed" in values and "plant" in roots:
-        key = _key(file, values.pop("seed"))
-        case = case._replace(scenario=replace(case.scenario, key=key))
-    changed: tuple[str, ...] = ()
-    for name, value in values.items():
+    case: Case, file: GainsFile | ScenarioFile, roots: tuple[str, ...]
+) -> tuple[Case, dict[str, str]]:
+    """The case with the values of a file, and full path of a setting -> its place in the file.
+    roots: the tables that the values may stand in."""
+    places: dict[str, str] = {}
+    for name, value in file.values.items():
+        assert file.toml is not None
+        place = f"{file.toml.place(name)}: "
         try:
             if name.partition(".")[0] not in roots:
                 raise ValueError(f"'{name}' is not in [{'], ['.join(roots)}]")
             case, paths = _applied(case, {name: value})
-            check(case.loop, case.gains, case.scenario, case.path)
         except ValueError as error:
-            raise ValueError(f"{file}:{settings.line_of(file, name)}: {error}") from None
-        changed += paths
-    return case, changed
+            raise ValueError(f"{place}{error}") from None
+        for path in paths:
+            if path in places:
+                raise ValueError(f"{place}{path} is set twice, by another name before")
+            places[path] = place
+    return case, places
 
 
-def _key(file: Path, seed: Any) -> jax.Array:
-    if type(seed) is not int or not 0 <= seed < 2**32:
-        line = settings.line_of(file, "seed")
-        raise ValueError(f"{file}:{line}: seed = {seed}: must be a whole number 0..{2**32 - 1}")
-    return jax.random.key(seed)
+def _delay(case: Case) -> float:
+    """Dead time of the drive in control periods, 0 where it has none."""
+    return float(np.max(getattr(case.scenario.drive, "delay", 0.0)))
+
+
+def _check(case: Case, places: Mapping[str, str]) -> None:
+    """Validate a case. An error begins with the place of the setting that it names, else of the
+    sibling that the setting may not fall below. places: full path of a setting -> where it was set.
+    """
+    try:
+        check(case.loop, case.gains, case.scenario, case.path)
+    except ValueError as error:
+        path = re.split(r"[^\w.]", str(error))[0]
+        sibling = f"{path.rpartition('.')[0]}.{str(error).rpartition(' ')[2]}"
+        raise ValueError(f"{places.get(path, places.get(sibling, ''))}{error}") from None
 
 
 def _applied(

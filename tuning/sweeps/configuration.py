@@ -21,11 +21,12 @@ from jaxstage.model.settings import plain_toml
 from jaxstage.model.validate import check
 from jaxstage.simulate.batch import spread_axes
 from jaxstage.studies import Case, find
+from tuning.store.gains_file import NO_GAINS, read_gains
 from tuning.store.prepare import prepare
 from tuning.uncertainty.case_table import case_of, case_table
 from tuning.uncertainty.designs import DESIGNS
 from tuning.uncertainty.scenario_blocks import with_max_delay
-from tuning.uncertainty.scenario_file import ScenarioFile, place, read_scenario
+from tuning.uncertainty.scenario_file import NO_SCENARIO, ScenarioFile, read_scenario
 from tuning.uncertainty.uncertain_space import (
     Batch,
     Space,
@@ -95,8 +96,15 @@ def configure_sweep(request: Request) -> str:
 
 
 def _table(request: Request) -> dict[str, Any]:
-    file = read_scenario(request.scenario) if request.scenario else ScenarioFile({}, [], [])
-    spreads = file.spreads or study_spreads(find(request.loops[0]).name)
+    scenario = read_scenario(request.scenario)
+    spreads = scenario.spreads or study_spreads(find(request.loops[0]).name)
+    gains = {loop: read_gains(file) for loop, file in request.gains.items()}
+    loops = [
+        prepare(name, request.words, gains.get(name, NO_GAINS), scenario).case
+        for name in request.loops
+    ]
+    for case in loops:
+        _check_space(case, spreads, scenario)
     return {
         "jaxstage": __version__,
         "jax": jax.__version__,
@@ -105,42 +113,26 @@ def _table(request: Request) -> dict[str, Any]:
         "design": request.design,
         "precision": request.precision,
         "chunk": min(request.chunk, request.runs),
-        "blocks": file.blocks,
+        "blocks": scenario.blocks,
         "spread": spreads,
-        "correlation": file.correlations,
-        "loop": [_loop_table(name, request, spreads, file) for name in request.loops],
+        "correlation": scenario.correlations,
+        "loop": [case_table(case) for case in loops],
     }
 
 
-def _loop_table(
-    name: str, request: Request, spreads: Sequence[Mapping[str, Any]], file: ScenarioFile
-) -> dict[str, Any]:
-    gains = request.gains.get(name)
-    case = prepare(name, list(request.words), gains, request.scenario).case
-    source = request.scenario if file.spreads or file.correlations else None
-    _named_space(case, spreads, file.correlations, source)
-    return case_table(case)
-
-
-def _named_space(
-    case: Case,
-    spreads: Sequence[Mapping[str, Any]],
-    correlations: Sequence[Mapping[str, Any]],
-    file: Path | None,
-) -> None:
+def _check_space(case: Case, spreads: Sequence[Mapping[str, Any]], scenario: ScenarioFile) -> None:
     """Check spreads and correlations one by one, so that an error names its line."""
+    of_file = NO_SCENARIO if spreads is not scenario.spreads else scenario
     for number in range(len(spreads)):
         try:
             space(case, spreads[: number + 1], ())
         except ValueError as error:
-            where = f"{place(file, 'spread', number)}: " if file else ""
-            raise ValueError(f"{where}{error} ({case.name})") from None
-    for number in range(len(correlations)):
+            raise ValueError(f"{of_file.place('spread', number)}{error} ({case.name})") from None
+    for number in range(len(scenario.correlations)):
         try:
-            space(case, spreads, correlations[: number + 1])
+            space(case, spreads, scenario.correlations[: number + 1])
         except ValueError as error:
-            where = f"{place(file, 'correlation', number)}: " if file else ""
-            raise ValueError(f"{where}{error}") from None
+            raise ValueError(f"{scenario.place('correlation', number)}{error}") from None
 
 
 @functools.lru_cache(maxsize=4)

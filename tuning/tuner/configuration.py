@@ -17,6 +17,7 @@ from jaxstage import __version__
 from jaxstage.metrics.table import key
 from jaxstage.model.settings import nearest_name, plain_toml
 from jaxstage.studies import Case
+from tuning.store.gains_file import read_gains
 from tuning.store.prepare import prepare
 from tuning.store.work_folder import Kind
 from tuning.tuner.options import (
@@ -112,21 +113,14 @@ def configure_tuning(request: TuningRequest) -> str:
     """
     _check_numbers(request)
     asked_gains = parse_gains(request.gains)
-    prepared = prepare(request.loop, list(request.words), asked_gains.file, request.scenario)
-    spreads, correlations = spreads_of(request.loop, request.scenario)
-    loop_spec = LoopSpec(
-        request.loop,
-        request.words,
-        asked_gains.file,
-        request.scenario,
-        tuple(spreads),
-        tuple(correlations),
-        request.seed,
-    )
-    sets = read_sets(request.train, loop_spec)
+    gains, scenario = read_gains(asked_gains.file), read_scenario(request.scenario)
+    prepared = prepare(request.loop, request.words, gains, scenario)
+    spreads = tuple(spreads_of(request.loop, scenario))
+    loop_spec = LoopSpec(request.loop, request.words, gains, scenario, spreads, request.seed)
+    sets = read_sets(request.train, loop_spec, prepared.case)
     refuse_overlap(sets)
     trained = _named_set("train", sets.train, loop_spec)
-    case = case_of(trained["case"][0], _blocks(request.scenario))
+    case = case_of(trained["case"][0], scenario.blocks)
     same_law(prepared.case, case)
     SURROGATES[request.surrogate](case)
     columns = available_columns(case)
@@ -154,7 +148,7 @@ def configure_tuning(request: TuningRequest) -> str:
             "risk": request.risk,
             "margin": float(request.margin),
             "surrogate": request.surrogate,
-            "blocks": dict(_blocks(request.scenario)),
+            "blocks": dict(scenario.blocks),
             "search": list(searches),
             "case": case_table(prepared.case),
             "train": trained,
@@ -196,10 +190,6 @@ def _check_budget(request: TuningRequest, n: int) -> None:
             f"--budget {request.budget:g}: must be {least}..1e6 units for a first step with {n} "
             f"numbers, --starts {request.starts}{told}"
         )
-
-
-def _blocks(scenario: Path | None) -> Mapping[str, Any]:
-    return read_scenario(scenario).blocks if scenario else {}
 
 
 def _named_set(name: str, spec: SetSpec, loop_spec: LoopSpec) -> dict[str, Any]:

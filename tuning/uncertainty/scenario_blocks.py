@@ -86,15 +86,6 @@ def with_max_delay(case: Case, periods: float) -> Case:
     """The case with a `current_drive` that can delay so many control periods; any other stays."""
     drive = case.loop.drive
     known = drive in (current_drive(), current_drive(drive.max_delay))
-    if not known or periods <= drive.max_delay:
+    if not known or not drive.max_delay < periods < math.inf:
         return case
     return case._replace(loop=replace(case.loop, drive=current_drive(math.ceil(periods))))
-
-
-def named_blocks(values: Mapping[str, Any]) -> dict[str, Any]:
-    """part -> name from the content of a scenario file."""
-    return {
-        name.removeprefix("blocks."): value
-        for name, value in values.items()
-        if name.startswith("blocks.")
-    }

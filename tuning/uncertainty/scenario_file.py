@@ -22,51 +22,68 @@
 `jaxstage run` takes the same file and runs its nominal values.
 """
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxstage.model.settings import line_of, read_toml
+from jaxstage.model.settings import TomlFile, read_toml
 from jaxstage.studies import Case
-from tuning.uncertainty.scenario_blocks import named_blocks, with_blocks, with_max_delay
-
-#: what is not a nominal value
-NOT_VALUES = ("blocks", "spread", "correlation")
+from tuning.uncertainty.scenario_blocks import with_blocks
 
 
 class ScenarioFile(NamedTuple):
-    """What only a sweep reads: tables of spreads and correlations, and the blocks."""
+    """A scenario file, read once; without a file, what changes nothing.
 
-    blocks: dict[str, str]
-    spreads: list[dict[str, Any]]
-    correlations: list[dict[str, Any]]
+    Attributes:
+        toml: The file, for the places of errors; None where there is none.
+        seed: Of the random key of a run, 0..2^32 - 1; None keeps that of the loop.
+        values: Nominal values by dotted name, SI: numbers or nested lists.
+        blocks: Part of the scenario -> name of the block that stands in for an ideal one.
+        spreads, correlations: Their tables, in the order of the file.
+    """
+
+    toml: TomlFile | None = None
+    seed: int | None = None
+    values: Mapping[str, Any] = {}
+    blocks: Mapping[str, str] = {}
+    spreads: Sequence[Mapping[str, Any]] = ()
+    correlations: Sequence[Mapping[str, Any]] = ()
+
+    def place(self, name: str, number: int = 0) -> str:
+        """``file:line: `` of a key, or of the ``number``-th table of that name, to begin an error
+        with; empty without a file."""
+        return f"{self.toml.place(name, number)}: " if self.toml else ""
+
+    def with_blocks(self, case: Case) -> Case:
+        """The case with the blocks of the file. Raises ValueError with its place."""
+        for part, name in self.blocks.items():
+            try:
+                case = with_blocks(case, {part: name})
+            except ValueError as error:
+                raise ValueError(f"{self.place(f'blocks.{part}')}{error}") from None
+        return case
 
 
-def read_scenario(file: Path) -> ScenarioFile:
-    """Spreads, correlations and blocks of a file. Raises ValueError, one line with its place."""
-    content = read_toml(file)
-    tables = {name: content.get(name, []) for name in ("spread", "correlation")}
-    for name, value in tables.items():
-        whole = isinstance(value, list) and all(isinstance(table, dict) for table in value)
-        inner = next((key for key in content if key.startswith(f"{name}.")), name)
-        if not whole or inner != name:
-            raise ValueError(f"{file}:{line_of(file, inner)}: write [[{name}]], a table for each")
-    return ScenarioFile(named_blocks(content), tables["spread"], tables["correlation"])
+#: nothing is said
+NO_SCENARIO = ScenarioFile()
 
 
-def with_file_blocks(case: Case, file: Path) -> Case:
-    """The case with the blocks that a scenario file adds. Raises ValueError with its place."""
-    content = read_toml(file)
-    blocks = named_blocks(content)
-    try:
-        case = with_blocks(case, blocks)
-    except ValueError as error:
-        raise ValueError(f"{file}:{line_of(file, next(iter(blocks)))}: {error}") from None
-    delay = content.get("drive.delay", 0.0)
-    return with_max_delay(case, delay) if isinstance(delay, int | float) else case
-
-
-def place(file: Path, table: str, number: int) -> str:
-    """``file:line`` of the ``number``-th [[table]], counted from 0."""
-    lines = file.read_text(encoding="utf-8").splitlines()
-    found = [i for i, line in enumerate(lines, 1) if line.strip().startswith(f"[[{table}]]")]
-    return f"{file}:{found[number] if number < len(found) else 1}"
+def read_scenario(file: Path | None) -> ScenarioFile:
+    """Read a scenario file, or none. Raises ValueError in one line, with its place."""
+    if file is None:
+        return NO_SCENARIO
+    toml = read_toml(file)
+    values, blocks = dict(toml.values), {}
+    lists = {name: values.pop(name, []) for name in ("spread", "correlation")}
+    for name, tables in lists.items():
+        inner = next((key for key in values if key.startswith(f"{name}.")), None)
+        if inner or not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+            raise ValueError(f"{toml.place(inner or name)}: write [[{name}]], a table for each")
+    for name in [name for name in values if name.startswith("blocks.")]:
+        blocks[name.removeprefix("blocks.")] = values.pop(name)
+    seed = values.pop("seed", None)
+    if seed is not None and (type(seed) is not int or not 0 <= seed < 2**32):
+        raise ValueError(
+            f"{toml.place('seed')}: seed = {seed}: must be a whole number 0..{2**32 - 1}"
+        )
+    return ScenarioFile(toml, seed, values, blocks, lists["spread"], lists["correlation"])

@@ -33,8 +33,7 @@ What is left out is taken from the default of its set (`default_training`, `defa
 
 import functools
 import math
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -43,8 +42,9 @@ import numpy as np
 
 from jaxstage.model.fields import leaves, replace
 from jaxstage.studies import Case, Timing, find, known_studies
+from tuning.store.gains_file import GainsFile
 from tuning.tuner.problem.scenario_set import ContourSpec, SetSpec, widened
-from tuning.uncertainty.scenario_file import ScenarioFile, read_scenario
+from tuning.uncertainty.scenario_file import ScenarioFile
 from tuning.uncertainty.uncertain_space import study_spreads
 
 #: most control periods of a training run, where nothing else is said
@@ -70,18 +70,15 @@ class LoopSpec(NamedTuple):
 
     loop: str
     words: tuple[str, ...]
-    gains: Path | None
-    scenario: Path | None
+    gains: GainsFile
+    scenario: ScenarioFile
     spreads: tuple[Mapping[str, Any], ...]
-    correlations: tuple[Mapping[str, Any], ...]
     seed: int
 
 
-def spreads_of(loop: str, file: Path | None) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Spreads and correlations of a scenario file, else the study's, at least +-20 % wide."""
-    content = read_scenario(file) if file else ScenarioFile({}, [], [])
-    spreads = content.spreads or widened(study_spreads(find(loop).name), SPREAD)
-    return spreads, content.correlations
+def spreads_of(loop: str, scenario: ScenarioFile) -> Sequence[Mapping[str, Any]]:
+    """The spreads of a scenario file, else the study's, at least +-20 % wide."""
+    return scenario.spreads or widened(study_spreads(find(loop).name), SPREAD)
 
 
 def shortened(timing: Timing) -> Timing:
@@ -133,7 +130,7 @@ def default_training(loop_spec: LoopSpec, case: Case) -> SetSpec:
         horizons=(timing.duration,),
         skip=timing.skip,
         spreads=loop_spec.spreads,
-        correlations=loop_spec.correlations,
+        correlations=tuple(loop_spec.scenario.correlations),
         design="sobol",
     )
 
@@ -165,7 +162,7 @@ def default_held_out(loop_spec: LoopSpec, case: Case) -> SetSpec:
         horizons=(timing.duration,),
         skip=timing.skip,
         spreads=spreads,
-        correlations=loop_spec.correlations,
+        correlations=tuple(loop_spec.scenario.correlations),
         dealt=True,
     )
 

@@ -7,7 +7,6 @@ below its Coulomb friction, is passed over.
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -17,9 +16,11 @@ from jaxstage.model.fields import replace
 from jaxstage.model.settings import SCENARIO_PARTS, apply, known_leaves
 from jaxstage.model.validate import SHARED, check_leaves
 from jaxstage.studies import Case, Timing
+from tuning.store.gains_file import NO_GAINS, GainsFile
 from tuning.store.prepare import prepare
 from tuning.uncertainty.case_table import case_of, case_table
 from tuning.uncertainty.scenario_blocks import with_max_delay
+from tuning.uncertainty.scenario_file import NO_SCENARIO, ScenarioFile
 from tuning.uncertainty.uncertain_space import draw, longest_delay, run_seed, space
 
 #: plants drawn for one that is kept, at most
@@ -71,11 +72,11 @@ class RunSet(NamedTuple):
 
 
 def set_table(
-    spec: SetSpec, gains: Path | None = None, scenario: Path | None = None
+    spec: SetSpec, gains: GainsFile = NO_GAINS, scenario: ScenarioFile = NO_SCENARIO
 ) -> dict[str, Any]:
     """A set as plain data: its parts, and the case of every contour and horizon.
 
-    gains, scenario: files as for ``jaxstage run``. Raises ValueError in one line for anything
+    gains, scenario: as for `prepare`. Raises ValueError in one line for anything
     unknown or out of range.
     """
     cases = [
@@ -101,14 +102,17 @@ def set_table(
 
 
 def _timed(
-    contour: ContourSpec, horizon: float | None, skip: float | None, gains: Any, scenario: Any
+    contour: ContourSpec,
+    horizon: float | None,
+    skip: float | None,
+    gains: GainsFile,
+    scenario: ScenarioFile,
 ) -> Case:
     def retimed(timing: Timing) -> Timing:
         timing = timing if horizon is None else replace(timing, duration=horizon)
         return timing if skip is None else replace(timing, skip=skip)
 
-    words = list(contour.words)
-    return prepare(contour.loop, words, gains, scenario, retimed=retimed).case
+    return prepare(contour.loop, contour.words, gains, scenario, retimed).case
 
 
 def same_law(first: Case, other: Case) -> None:

@@ -5,9 +5,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxstage.model.settings import line_of, nearest_name, read_toml
-from jaxstage.studies import find
-from tuning.store.prepare import prepare
+from jaxstage.model.settings import TomlFile, nearest_name, read_toml
+from jaxstage.studies import Case, find
 from tuning.tuner.problem.default_sets import LoopSpec, default_held_out, default_training
 from tuning.tuner.problem.scenario_set import MOST_RUNS, ContourSpec, SetSpec
 from tuning.uncertainty.designs import DESIGNS
@@ -20,30 +19,25 @@ class ScenarioSets(NamedTuple):
     held_out: SetSpec
 
 
-def read_sets(file: Path | None, loop_spec: LoopSpec) -> ScenarioSets:
-    """The sets of a file, or the default ones.
+def read_sets(file: Path | None, loop_spec: LoopSpec, case: Case) -> ScenarioSets:
+    """The sets of a file, or the default ones. case: of the loop that is tuned.
 
     Raises ValueError, one line with its place, for anything unknown or out of range.
     """
-    case = prepare(loop_spec.loop, list(loop_spec.words), loop_spec.gains, loop_spec.scenario).case
     sets = ScenarioSets(default_training(loop_spec, case), default_held_out(loop_spec, case))
     if file is None:
         return sets
-    content = read_toml(file)
-    for name in content:
+    toml = read_toml(file)
+    for name in toml.values:
         if name.partition(".")[0] not in ScenarioSets._fields:
-            raise ValueError(
-                f"{file}:{line_of(file, name)}: '{name}' is not in [train], [held_out]"
-            )
-    return ScenarioSets(
-        *(_read(file, content, name, set_) for name, set_ in sets._asdict().items())
-    )
+            raise ValueError(f"{toml.place(name)}: '{name}' is not in [train], [held_out]")
+    return ScenarioSets(*(_read(toml, name, set_) for name, set_ in sets._asdict().items()))
 
 
-def _read(file: Path, content: Mapping[str, Any], name: str, default: SetSpec) -> SetSpec:
+def _read(toml: TomlFile, name: str, default: SetSpec) -> SetSpec:
     given = {
         key.removeprefix(f"{name}."): value
-        for key, value in content.items()
+        for key, value in toml.values.items()
         if key.startswith(f"{name}.")
     }
     if "contour" in given and "horizons" not in given:  # the timing of a contour then counts
@@ -57,22 +51,8 @@ def _read(file: Path, content: Mapping[str, Any], name: str, default: SetSpec) -
             field, convert = _KEYS[key]
             spec = spec._replace(**{field: convert(key, value)})
         except ValueError as error:
-            raise ValueError(f"{file}:{_line(file, name, key)}: [{name}] {error}") from None
-    return _whole(file, name, spec)
-
-
-def _line(file: Path, table: str, key: str) -> int:
-    """The line of a key within a table, or of the first [[table.key]]."""
-    inside = False
-    for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), start=1):
-        text = line.split("#")[0].strip()
-        if text.startswith("["):
-            inside = text.strip("[] ") == table
-            if text.strip("[] ") == f"{table}.{key}":
-                return number
-        elif inside and text.split("=")[0].strip() == key:
-            return number
-    return line_of(file, key)
+            raise ValueError(f"{toml.place(f'{name}.{key}')}: [{name}] {error}") from None
+    return _whole(toml.file, name, spec)
 
 
 def _whole(file: Path, name: str, spec: SetSpec) -> SetSpec:
