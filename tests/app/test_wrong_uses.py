@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxstage as js
+from jaxstage.system import runtime
 from jaxstage.system.files import write_text
 from tests.helpers.commanding import command as command
 from tuning.app.reports.page import Page
@@ -254,10 +255,10 @@ def test_another_configuration_says_what_differs(tmp_path):
 
 def test_a_cache_that_cannot_be_written(monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
-    before = js.runtime.cache_folder()
+    before = runtime.cache_folder()
     with pytest.warns(UserWarning, match="no cache of compiled programs: /dev/null/jaxstage: Not"):
         js.configure(cache="default")
-    assert js.runtime.cache_folder() == before
+    assert runtime.cache_folder() == before
 
 
 def test_warnings_of_libraries_are_one_line(command, monkeypatch):
