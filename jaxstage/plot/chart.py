@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from jaxstage import __version__
 from jaxstage.plot.style import AXIS_COLOURS, LARGE, NORMAL, SMALL, dress
-from jaxstage.studies.experiment import Chart
+from jaxstage.studies.plots import Chart
 
 COLOURS = (*AXIS_COLOURS, "#56B4E9", "#E69F00", "#7F7F7F")
 WIDTH, HEIGHT = 7.2, 5.2
@@ -44,9 +44,14 @@ def _panel(ax: Axes, panel: Chart) -> None:
         for line, colour in zip(panel.lines, cycle(COLOURS)):
             few = len(line.x) <= 40
             ax.plot(
-                np.asarray(line.x), _numbers(line.y), label=line.label, color=colour,
-                linewidth=1.4, marker="o" if few else "", markersize=4,
-            )  # fmt: skip
+                np.asarray(line.x),
+                _numbers(line.y),
+                label=line.label,
+                color=colour,
+                linewidth=1.4,
+                marker="o" if few else "",
+                markersize=4,
+            )
     if panel.log_x:
         ax.set_xscale("log")
     if panel.log_y:
@@ -60,14 +65,24 @@ def _panel(ax: Axes, panel: Chart) -> None:
     if len(panel.lines) > 1:
         columns = 4 if len(panel.lines) > 4 else 2
         ax.legend(
-            loc="lower left", bbox_to_anchor=(0, 1.06), ncols=columns, frameon=False,
-            fontsize=SMALL, borderaxespad=0,
-        )  # fmt: skip
+            loc="lower left",
+            bbox_to_anchor=(0, 1.06),
+            ncols=columns,
+            frameon=False,
+            fontsize=SMALL,
+            borderaxespad=0,
+        )
     if panel.text:
         ax.text(
-            0.5, -0.17, textwrap.fill(panel.text, 80), transform=ax.transAxes, ha="center",
-            va="top", fontsize=SMALL, color="#44586B",
-        )  # fmt: skip
+            0.5,
+            -0.17,
+            textwrap.fill(panel.text, 80),
+            transform=ax.transAxes,
+            ha="center",
+            va="top",
+            fontsize=SMALL,
+            color="#44586B",
+        )
 
 
 def _bars(ax: Axes, panel: Chart) -> None:
@@ -81,9 +96,15 @@ def _bars(ax: Axes, panel: Chart) -> None:
         for x, value in zip(where, values, strict=True):
             if np.isfinite(value):
                 ax.annotate(
-                    f"{value:.3g}", (x, value), (0, 2), textcoords="offset points", ha="center",
-                    va="bottom", fontsize=SMALL - 2.5, rotation=90 if len(panel.lines) > 3 else 0,
-                )  # fmt: skip
+                    f"{value:.3g}",
+                    (x, value),
+                    (0, 2),
+                    textcoords="offset points",
+                    ha="center",
+                    va="bottom",
+                    fontsize=SMALL - 2.5,
+                    rotation=90 if len(panel.lines) > 3 else 0,
+                )
     ax.set_xticks(np.arange(len(names)), names)
     ax.margins(y=0.16)
 

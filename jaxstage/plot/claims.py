@@ -29,16 +29,22 @@ def claims(title: str, judged: tuple[Judgement, ...]) -> Figure:
         _row(ax, row, judgement)
     numbers = count(judged)
     drawn.text(
-        0.012, 1 - 0.15 / height, f"{title}: published against this simulation", va="top",
-        fontsize=LARGE, weight="bold",
-    )  # fmt: skip
+        0.012,
+        1 - 0.15 / height,
+        f"{title}: published against this simulation",
+        va="top",
+        fontsize=LARGE,
+        weight="bold",
+    )
     drawn.text(
-        0.012, 1 - 0.55 / height,
+        0.012,
+        1 - 0.55 / height,
         f"{numbers[HOLDS]} claims hold, {numbers[FAILS]} fail, {numbers[UNCHECKED]} cannot be "
         "checked by simulation (not drawn). Dots: our figure over the published one, 1 is equal; "
         "no dot where only words are printed.",
-        va="top", fontsize=NORMAL,
-    )  # fmt: skip
+        va="top",
+        fontsize=NORMAL,
+    )
     drawn.text(0.012, 0.12 / height, f"jaxstage {__version__}", fontsize=SMALL, color="#555555")
     return drawn
 
@@ -78,9 +84,15 @@ def _row(ax: Axes, row: int, judgement: Judgement) -> None:
     if inside != ratio:
         side = "left" if ratio < 1 else "right"
         ax.annotate(
-            f"{ratio:.3g} ×", (inside, row), (10 if side == "left" else -10, 0),
-            textcoords="offset points", ha=side, va="center", fontsize=SMALL, color=colour,
-        )  # fmt: skip
+            f"{ratio:.3g} ×",
+            (inside, row),
+            (10 if side == "left" else -10, 0),
+            textcoords="offset points",
+            ha=side,
+            va="center",
+            fontsize=SMALL,
+            color=colour,
+        )
 
 
 def number(value: float | None) -> str:

@@ -89,9 +89,14 @@ def _steps(
     """The steps that the drive holds; time counts from the centre."""
     ticks = np.arange(*part)
     ax.plot(
-        (ticks - centre) * view.dt * 1e3, view.command[ticks, axis], drawstyle="steps-post",
-        color=colour, linewidth=1.2, marker="." if len(ticks) <= CLOSE else "", markersize=4,
-    )  # fmt: skip
+        (ticks - centre) * view.dt * 1e3,
+        view.command[ticks, axis],
+        drawstyle="steps-post",
+        color=colour,
+        linewidth=1.2,
+        marker="." if len(ticks) <= CLOSE else "",
+        markersize=4,
+    )
     if part[0] <= centre <= part[1]:
         colour = REFERENCE if view.lost is None else LOST
         ax.axvline(0, color=colour, linestyle=":", linewidth=1.4)

@@ -58,9 +58,14 @@ def contour(view: View) -> Figure:
         _panel(ax, view, pair, factor, *paths[index])
     handles, names = drawn.axes[0].get_legend_handles_labels()
     drawn.legend(
-        handles, names, loc="upper right", bbox_to_anchor=(1.0, 1 - 0.78 / drawn.get_figheight()),
-        ncols=len(names), fontsize=SMALL, frameon=False,
-    )  # fmt: skip
+        handles,
+        names,
+        loc="upper right",
+        bbox_to_anchor=(1.0, 1 - 0.78 / drawn.get_figheight()),
+        ncols=len(names),
+        fontsize=SMALL,
+        frameon=False,
+    )
     return drawn
 
 
@@ -106,9 +111,12 @@ def _panel(
     ax.plot(*curve.T, color=REFERENCE, linewidth=1.3, label="reference", zorder=3)
     name = view.scored_text if view.lost is None else "before it was lost"
     ax.plot(
-        *path.T, color=SCORED, linewidth=1.8, zorder=4,
+        *path.T,
+        color=SCORED,
+        linewidth=1.8,
+        zorder=4,
         label=f"tool, error × {factor:,.0f} ({name})",
-    )  # fmt: skip
+    )
     dress(ax, f"{view.axes[pair[0]]} in mm", f"{view.axes[pair[1]]} in mm")
     _start(ax, view, plane)
     _bars(ax, curve, factor)
@@ -122,13 +130,21 @@ def _start(ax: Axes, view: View, plane: list[int]) -> None:
     heading = view.heading[plane]
     tip = begin + heading * 0.13 * np.max(np.ptp(view.curve, axis=0)) * 1e3
     ax.plot(
-        *begin, marker="o", color=REFERENCE, markersize=9, zorder=5, linestyle="none",
+        *begin,
+        marker="o",
+        color=REFERENCE,
+        markersize=9,
+        zorder=5,
+        linestyle="none",
         label="start and direction",
-    )  # fmt: skip
+    )
     ax.annotate(
-        "", xy=(tip[0], tip[1]), xytext=(begin[0], begin[1]), zorder=5,
+        "",
+        xy=(tip[0], tip[1]),
+        xytext=(begin[0], begin[1]),
+        zorder=5,
         arrowprops={"arrowstyle": "-|>", "color": REFERENCE, "lw": 2.2, "mutation_scale": 22},
-    )  # fmt: skip
+    )
 
 
 def _bars(ax: Axes, curve: np.ndarray, factor: float) -> None:
@@ -151,6 +167,12 @@ def _bar(ax: Axes, x: float, y: float, length: float, text: str, colour: str) ->
         x + length / 2, y, xerr=length / 2, color=colour, capsize=7, capthick=2.5, elinewidth=2.5
     )
     ax.annotate(
-        text, xy=(x + length / 2, y), xytext=(0, 8), textcoords="offset points", ha="center",
-        va="bottom", fontsize=SMALL + 1, color=colour,
-    )  # fmt: skip
+        text,
+        xy=(x + length / 2, y),
+        xytext=(0, 8),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=SMALL + 1,
+        color=colour,
+    )

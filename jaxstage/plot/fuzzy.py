@@ -40,9 +40,12 @@ def memberships(sets: FuzzySets, name: str = "normalised input") -> Figure:
 
 
 def rule_surface(
-    first: FuzzySets, second: FuzzySets, consequents: jax.Array, output: str,
+    first: FuzzySets,
+    second: FuzzySets,
+    consequents: jax.Array,
+    output: str,
     inputs: tuple[str, str] = ("X1", "X2"),
-) -> Figure:  # fmt: skip
+) -> Figure:
     """What the rules infer over both inputs, with the consequents written at their centres.
 
     consequents: (sets of the first, of the second). output: name and unit, e.g. ``K_P in 1/s2``.
@@ -61,9 +64,14 @@ def rule_surface(
     for a, row in zip(np.asarray(first.centres), np.asarray(consequents), strict=True):
         for b, value in zip(np.asarray(second.centres), row, strict=True):
             ax.annotate(
-                f"{value:.4g}", (b, a), ha="center", va="center", fontsize=SMALL - 2,
-                color=REFERENCE, bbox=box,
-            )  # fmt: skip
+                f"{value:.4g}",
+                (b, a),
+                ha="center",
+                va="center",
+                fontsize=SMALL - 2,
+                color=REFERENCE,
+                bbox=box,
+            )
     ax.set_xlabel(inputs[1], fontsize=NORMAL)
     ax.set_ylabel(inputs[0], fontsize=NORMAL)
     return drawn

@@ -23,9 +23,15 @@ from jaxstage.system.files import write_whole
 
 #: the pictures of one run by name
 VIEWS = {
-    "contour": contour, "axes": axes, "error": error, "command": command, "weights": weights,
-    "surface": surface, "space": space, "schedule": schedule,
-}  # fmt: skip
+    "contour": contour,
+    "axes": axes,
+    "error": error,
+    "command": command,
+    "weights": weights,
+    "surface": surface,
+    "space": space,
+    "schedule": schedule,
+}
 
 
 def pictures(

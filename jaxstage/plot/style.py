@@ -94,9 +94,15 @@ def other_laps(view: View) -> str:
 def note(ax: Axes, text: str, align: str = "left") -> None:
     """Small text above the left end of the panel, or above its middle (``center``)."""
     ax.text(
-        0.5 if align == "center" else 0.0, 1.015, text, transform=ax.transAxes, ha=align,
-        va="bottom", fontsize=SMALL, color="#44586B",
-    )  # fmt: skip
+        0.5 if align == "center" else 0.0,
+        1.015,
+        text,
+        transform=ax.transAxes,
+        ha=align,
+        va="bottom",
+        fontsize=SMALL,
+        color="#44586B",
+    )
 
 
 def legend(ax: Axes) -> None:
@@ -104,9 +110,16 @@ def legend(ax: Axes) -> None:
     handles, names = ax.get_legend_handles_labels()
     if names:
         ax.legend(
-            handles, names, loc="lower right", bbox_to_anchor=(1.0, 0.985), fontsize=SMALL,
-            ncols=len(names), frameon=False, borderaxespad=0.1, handlelength=1.6,
-        )  # fmt: skip
+            handles,
+            names,
+            loc="lower right",
+            bbox_to_anchor=(1.0, 0.985),
+            fontsize=SMALL,
+            ncols=len(names),
+            frameon=False,
+            borderaxespad=0.1,
+            handlelength=1.6,
+        )
 
 
 def limit(ax: Axes, judged: np.ndarray, every: np.ndarray, factor: float, unit: str) -> None:

@@ -55,9 +55,13 @@ def _plane(ax: Axes, view: View, axis: int, colour: str) -> None:
     if slope is not None:
         ends = np.array([error.min(), error.max()])
         ax.plot(
-            ends * factor, -slope * ends * 1e3, color=REFERENCE, linestyle="--", linewidth=1.8,
+            ends * factor,
+            -slope * ends * 1e3,
+            color=REFERENCE,
+            linestyle="--",
+            linewidth=1.8,
             label=f"s = 0: e' = -c1 e, c1 = {slope:g} 1/s",
-        )  # fmt: skip
+        )
     legend(ax)
     name = view.axes[axis]
     dress(ax, f"{name} following error e in {unit}", f"{name} rate e' in mm/s")

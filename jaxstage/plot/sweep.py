@@ -106,9 +106,16 @@ def distribution(samples: Sequence[Sample], sheet: Sheet) -> Figure:
         if sheet.limit is not None and sample.met is not None:
             value, least, most = sample.met
             share.errorbar(
-                sheet.limit, value, [[value - least], [most - value]], color=colour, marker="o",
-                markersize=6, capsize=5, elinewidth=2, zorder=5,
-            )  # fmt: skip
+                sheet.limit,
+                value,
+                [[value - least], [most - value]],
+                color=colour,
+                marker="o",
+                markersize=6,
+                capsize=5,
+                elinewidth=2,
+                zorder=5,
+            )
     often.yaxis.set_major_locator(MaxNLocator(integer=True))
     for ax, side in ((often, "plants"), (share, "share of plants")):
         dress(ax, sheet.label, side)
@@ -116,9 +123,15 @@ def distribution(samples: Sequence[Sample], sheet: Sheet) -> Figure:
             ax.axvline(sheet.limit, color=LOST, linestyle="--", linewidth=1.5)
     if sheet.limit is not None:
         often.text(
-            sheet.limit, 1.0, f"limit {sheet.limit:g}", transform=often.get_xaxis_transform(),
-            ha="center", va="bottom", fontsize=SMALL, color=LOST,
-        )  # fmt: skip
+            sheet.limit,
+            1.0,
+            f"limit {sheet.limit:g}",
+            transform=often.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=SMALL,
+            color=LOST,
+        )
     share.set_ylim(0, 1.02)
     share.legend(loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=SMALL, frameon=False)
     return drawn
@@ -151,9 +164,14 @@ def _cumulative(ax: Axes, sample: Sample, kept: np.ndarray, colour: str) -> None
     ax.step(x[thin], y[thin], where="post", color=colour, linewidth=1.8, label=label)
     if sample.chance:
         ax.fill_between(
-            x[thin], np.maximum(y[thin] - band, 0), np.minimum(y[thin] + band, 1), step="post",
-            color=colour, alpha=0.18, linewidth=0,
-        )  # fmt: skip
+            x[thin],
+            np.maximum(y[thin] - band, 0),
+            np.minimum(y[thin] + band, 1),
+            step="post",
+            color=colour,
+            alpha=0.18,
+            linewidth=0,
+        )
 
 
 def parameters(
@@ -223,21 +241,38 @@ def _scatter(ax: Axes, x: np.ndarray, sample: Sample, finite: np.ndarray) -> Non
     good = np.flatnonzero(~failed & ~lost)
     shown = good[:: max(1, len(good) // POINTS)]
     ax.plot(
-        x[shown], sample.values[shown], linestyle="", marker=".", markersize=3 + 4 * (len(x) < FEW),
-        color=AXIS_COLOURS[0], alpha=0.5, rasterized=True,
-    )  # fmt: skip
+        x[shown],
+        sample.values[shown],
+        linestyle="",
+        marker=".",
+        markersize=3 + 4 * (len(x) < FEW),
+        color=AXIS_COLOURS[0],
+        alpha=0.5,
+        rasterized=True,
+    )
     bad = np.flatnonzero(failed)
     bad = bad[:: max(1, len(bad) // POINTS)]
     ax.plot(
-        x[bad], sample.values[bad], linestyle="", marker="x", markersize=4, color=LOST, alpha=0.7,
+        x[bad],
+        sample.values[bad],
+        linestyle="",
+        marker="x",
+        markersize=4,
+        color=LOST,
+        alpha=0.7,
         rasterized=True,
-    )  # fmt: skip
+    )
     if lost.any():
         where = x[lost][:POINTS]
         ax.plot(
-            where, np.full(len(where), 0.985), linestyle="", marker="v", markersize=5, color=LOST,
+            where,
+            np.full(len(where), 0.985),
+            linestyle="",
+            marker="v",
+            markersize=5,
+            color=LOST,
             transform=ax.get_xaxis_transform(),
-        )  # fmt: skip
+        )
     _medians(ax, x[~lost], finite)
 
 
@@ -267,9 +302,12 @@ class Effect(NamedTuple):
 
 
 def tornado(
-    name: str, nominal: float, effects: Sequence[Effect], sheet: Sheet,
+    name: str,
+    nominal: float,
+    effects: Sequence[Effect],
+    sheet: Sheet,
     left_out: Sequence[str] = (),
-) -> Figure:  # fmt: skip
+) -> Figure:
     """First-order effect of each value around the nominal plant, the largest on top. left_out: what
     has no slope."""
     text = (
@@ -293,9 +331,15 @@ def tornado(
             ax.barh(row, end - nominal, left=nominal, height=0.7, color=colour, label=label)
         for x, colour in zip(effect.seen or (), AXIS_COLOURS, strict=False):
             ax.plot(
-                x, row, marker="D", markersize=7, color=colour, markeredgecolor=REFERENCE,
-                linestyle="", zorder=4,
-            )  # fmt: skip
+                x,
+                row,
+                marker="D",
+                markersize=7,
+                color=colour,
+                markeredgecolor=REFERENCE,
+                linestyle="",
+                zorder=4,
+            )
     ax.axvline(nominal, color=REFERENCE, linewidth=1.2)
     ax.set_yticks(range(len(effects)), [effect.name for effect in effects])
     ax.invert_yaxis()
@@ -310,9 +354,13 @@ def tornado(
 def _legend_above(ax: Axes) -> None:
     """In one row over the axes: no bar and no mark is hidden."""
     ax.legend(
-        loc="lower right", bbox_to_anchor=(1, 1), ncols=3, fontsize=SMALL, frameon=False,
+        loc="lower right",
+        bbox_to_anchor=(1, 1),
+        ncols=3,
+        fontsize=SMALL,
+        frameon=False,
         borderaxespad=0.2,
-    )  # fmt: skip
+    )
 
 
 def _near(limit: float, nominal: float, effects: Sequence[Effect]) -> bool:
@@ -347,10 +395,14 @@ def indices(name: str, found: Sequence[Index], sheet: Sheet) -> Figure:
         (0.19, AXIS_COLOURS[1], "ST, with interactions", "total", "total_error"),
     ):
         ax.barh(
-            rows + shift, [getattr(i, value) for i in order], height=0.36, color=colour,
-            label=label, xerr=[getattr(i, error) for i in order],
+            rows + shift,
+            [getattr(i, value) for i in order],
+            height=0.36,
+            color=colour,
+            label=label,
+            xerr=[getattr(i, error) for i in order],
             error_kw={"ecolor": REFERENCE, "linewidth": 1.1, "capsize": 2.5},
-        )  # fmt: skip
+        )
     ax.set_yticks(rows, [index.name for index in order])
     ax.invert_yaxis()
     ax.axvline(0, color=REFERENCE, linewidth=0.8)
@@ -376,9 +428,16 @@ def versus(a: Sample, b: Sample, text: str, sheet: Sheet) -> Figure:
         if colour == REFERENCE and not part.any():
             continue
         ax.plot(
-            x[part][::step], y[part][::step], linestyle="", marker=".", markersize=3.5, alpha=0.5,
-            color=colour, label=f"{label}: {part.sum()} plants", rasterized=True,
-        )  # fmt: skip
+            x[part][::step],
+            y[part][::step],
+            linestyle="",
+            marker=".",
+            markersize=3.5,
+            alpha=0.5,
+            color=colour,
+            label=f"{label}: {part.sum()} plants",
+            rasterized=True,
+        )
     if both.any():
         ends = [min(x.min(), y.min()), max(x.max(), y.max())]
         ax.plot(ends, ends, color=REFERENCE, linewidth=1.2, label="equal")

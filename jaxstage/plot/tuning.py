@@ -72,9 +72,13 @@ def history(traces: Sequence[Trace], footer: str) -> Figure:
     best = panels[0]
     for trace, colour in zip(traces, cycle(AXIS_COLOURS)):
         best.step(
-            trace.units, trace.best, where="post", color=colour, linewidth=1.8,
+            trace.units,
+            trace.best,
+            where="post",
+            color=colour,
+            linewidth=1.8,
             label=f"{trace.name}: {trace.best[-1]:.4g} after {trace.units[-1]:.0f} units",
-        )  # fmt: skip
+        )
         best.plot(trace.units[-1:], trace.best[-1:], "o", color=colour, markersize=5)
         if slopes and np.isfinite(trace.gradient).any():
             panels[1].plot(trace.units, trace.gradient, ".-", color=colour, linewidth=1.4)
@@ -171,9 +175,13 @@ def _rms(values: np.ndarray) -> float:
 
 
 def front(
-    points: np.ndarray, kept: np.ndarray, suggested: int, before: np.ndarray,
-    labels: Sequence[str], footer: str,
-) -> Figure:  # fmt: skip
+    points: np.ndarray,
+    kept: np.ndarray,
+    suggested: int,
+    before: np.ndarray,
+    labels: Sequence[str],
+    footer: str,
+) -> Figure:
     """Trade-offs: every pair of objectives, points that none beats joined, the suggestion marked.
 
     points: (n, m). kept: (n,) bool, those on the front. suggested: index among all. before: (m,).
@@ -193,8 +201,9 @@ def front(
         if len(labels) == 2:
             order = np.argsort(points[kept][:, a])
             ax.plot(*points[kept][order][:, [a, b]].T, color=SCORED, linewidth=1.0)
-        ax.plot(*points[suggested, [a, b]], "*", color=AXIS_COLOURS[1], markersize=18,
-                label="suggested")  # fmt: skip
+        ax.plot(
+            *points[suggested, [a, b]], "*", color=AXIS_COLOURS[1], markersize=18, label="suggested"
+        )
         ax.plot(*before[[a, b]], "X", color=REFERENCE, markersize=10, label="before")
         for axis, index in ((ax.xaxis, a), (ax.yaxis, b)):
             every = np.append(points[kept][:, index], before[index])

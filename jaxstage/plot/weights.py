@@ -68,18 +68,27 @@ def _draw(ax: Axes, time: np.ndarray, values: np.ndarray, cells: list[Cell]) -> 
     one = values[(slice(None), *first)]
     kept = envelope(time, one)
     ax.plot(
-        time[kept], one[kept], color=AXIS_COLOURS[first[0] % len(AXIS_COLOURS)], linewidth=1.6,
+        time[kept],
+        one[kept],
+        color=AXIS_COLOURS[first[0] % len(AXIS_COLOURS)],
+        linewidth=1.6,
         linestyle="-" if middle else (0, (4 + 2 * first[-1], 2)),
         label="\n= ".join(f"({', '.join(map(str, cell))})" for cell in cells),
-    )  # fmt: skip
+    )
 
 
 def _legend(ax: Axes) -> None:
     handles, names = ax.get_legend_handles_labels()
     if names:
         ax.legend(
-            handles[:MOST_NAMED], names[:MOST_NAMED], loc="center left",
-            bbox_to_anchor=(1.005, 0.5), fontsize=SMALL, title="cell (layer, e, e')",
-            title_fontsize=NORMAL - 1, frameon=False, ncols=1 + (len(names) > 10),
+            handles[:MOST_NAMED],
+            names[:MOST_NAMED],
+            loc="center left",
+            bbox_to_anchor=(1.005, 0.5),
+            fontsize=SMALL,
+            title="cell (layer, e, e')",
+            title_fontsize=NORMAL - 1,
+            frameon=False,
+            ncols=1 + (len(names) > 10),
             handlelength=2.6,
-        )  # fmt: skip
+        )

@@ -26,8 +26,11 @@ from jaxstage.studies.study import Study as Study
 
 #: The published studies.
 all_studies: tuple[Study, ...] = (
-    fuzzy_cmac.study, adaptive_smc.study, fuzzy_ccc.study, mrac_asmc.study,
-)  # fmt: skip
+    fuzzy_cmac.study,
+    adaptive_smc.study,
+    fuzzy_ccc.study,
+    mrac_asmc.study,
+)
 
 
 def known_studies() -> tuple[Study, ...]:

@@ -5,16 +5,15 @@ which `Bound`. Its verdict is computed by `judge` from the evidence of a study's
 no simulation can decide is `unchecked`, with the reason.
 """
 
+import functools
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from operator import getitem
 from typing import Any, NamedTuple
 
-from jaxstage.model.fields import definition
-
-#: name of a simulated case -> its figures, as `columns` gives them
-Evidence = Mapping[str, Mapping[str, Any]]
-
-#: picks a figure out of the evidence, None where a run it needs was lost
-Picked = Callable[[Evidence], float | None]
+from jaxstage.model.fields import definition, replace
+from jaxstage.studies.evidence import Evidence, Pick
+from jaxstage.studies.packaged import packaged_toml
 
 HOLDS, FAILS, UNCHECKED = "holds", "fails", "unchecked"
 
@@ -69,30 +68,90 @@ class Claim:
     text: str
     published: float | None
     unit: str
-    ours: Picked | None
+    ours: Pick | None
     bound: Bound | None
     reason: str
 
 
-def claim(
-    id: str, where: str, text: str, ours: Picked, bound: Bound, reason: str,
-    published: float | None = None, unit: str = "",
-) -> Claim:  # fmt: skip
-    """A claim that the evidence decides, with what most of them lack left out."""
-    return Claim(
-        id=id, where=where, text=text, published=published, unit=unit, ours=ours, bound=bound,
-        reason=reason,
-    )  # fmt: skip
+#: the key of an entry that holds a bound -> how it is made
+BOUNDS: dict[str, Callable[[float], Bound]] = {
+    "within": within,
+    "at_most": at_most,
+    "at_least": at_least,
+    "printed": printed,
+}
 
 
-def unchecked(
-    id: str, where: str, text: str, published: float | None, unit: str, reason: str
-) -> Claim:
-    """A claim that no simulation can decide."""
-    return Claim(
-        id=id, where=where, text=text, published=published, unit=unit, ours=None, bound=None,
-        reason=reason,
-    )  # fmt: skip
+@dataclass(frozen=True)
+class PaperClaims:
+    """The claims of one paper, as the file ``claims.toml`` of its study states them.
+
+    An entry holds ``where``, ``text``, ``reason`` and, where there is one, ``unit``; ``published``,
+    a number or its place in ``published.toml``; and one of `BOUNDS`: a number, the name of a term,
+    ``published`` or ``published / 2``. Names in braces, in keys too, stand for terms and for the
+    words of a call.
+    """
+
+    entries: Mapping[str, Mapping[str, Any]]
+    numbers: Mapping[str, Any]
+    terms: Mapping[str, Any]
+
+    def claim(
+        self,
+        id: str,
+        ours: Pick,
+        /,
+        *,
+        bound: Bound | None = None,
+        published: float | None = None,
+        **words: object,
+    ) -> Claim:
+        """A claim that the evidence decides.
+
+        Args:
+            id: Key of the entry.
+            ours: Picks the metric out of the evidence.
+            bound: When ours agrees, if the entry has none of `BOUNDS`.
+            published: The printed number, if the entry has none.
+            **words: What names in braces stand for.
+        """
+        stated = self.unchecked(id, published=published, **words)
+        number = stated.published or 0.0
+        limits = dict(self.terms) | {"published": number, "published / 2": number / 2}
+        for key, make in BOUNDS.items():
+            if (limit := self.entries[id].get(key)) is not None:
+                bound = make(limits[limit] if isinstance(limit, str) else limit)
+        assert bound is not None, id
+        return replace(stated, ours=ours, bound=bound)
+
+    def unchecked(self, id: str, /, *, published: float | None = None, **words: object) -> Claim:
+        """A claim that no simulation can decide; arguments as of `claim`."""
+        entry = self.entries[id]
+        where, text, unit, reason = (
+            entry.get(key, "").format(**self.terms, **words)
+            for key in ("where", "text", "unit", "reason")
+        )
+        number = entry.get("published", published)
+        if isinstance(number, str):
+            number = functools.reduce(getitem, number.format(**words).split("."), self.numbers)
+        return Claim(
+            id=id.format(**words).replace("_", "-"),
+            where=where,
+            text=text,
+            published=None if number is None else float(number),
+            unit=unit,
+            ours=None,
+            bound=None,
+            reason=reason,
+        )
+
+
+def paper_claims(study: str, **terms: object) -> PaperClaims:
+    """The claims of a study's ``claims.toml``; terms: numbers and words that its texts name."""
+    entries = dict(packaged_toml(study, "claims.toml"))
+    for name, value in entries.pop("terms").items():
+        terms[name] = value.format(**terms) if isinstance(value, str) else value
+    return PaperClaims(entries, packaged_toml(study, "published.toml"), terms)
 
 
 class Judgement(NamedTuple):
@@ -126,14 +185,22 @@ def _judgement(claim: Claim, ours: float | None, verdict: str, reason: str) -> J
     if ours is not None and claim.published:
         difference = (ours - claim.published) / abs(claim.published)
     return Judgement(
-        id=claim.id, where=claim.where, text=claim.text, published=claim.published, ours=ours,
-        unit=claim.unit, difference=difference, verdict=verdict, reason=reason,
-    )  # fmt: skip
+        id=claim.id,
+        where=claim.where,
+        text=claim.text,
+        published=claim.published,
+        ours=ours,
+        unit=claim.unit,
+        difference=difference,
+        verdict=verdict,
+        reason=reason,
+    )
 
 
 def count(verdicts: Mapping[str, str] | tuple[Judgement, ...]) -> dict[str, int]:
     """How many claims hold, fail and are unchecked."""
-    values = list(verdicts.values()) if isinstance(verdicts, Mapping) else [
-        judged.verdict for judged in verdicts
-    ]  # fmt: skip
+    if isinstance(verdicts, Mapping):
+        values = list(verdicts.values())
+    else:
+        values = [judged.verdict for judged in verdicts]
     return {verdict: values.count(verdict) for verdict in (HOLDS, FAILS, UNCHECKED)}

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import jax
 
-from jaxstage.studies.claim import Evidence, Judgement, judge
+from jaxstage.studies.claim import Judgement, judge
+from jaxstage.studies.evidence import Evidence
 from jaxstage.studies.experiment import Experiment
 from jaxstage.studies.packaged import packaged_toml
 from jaxstage.studies.study import Study

@@ -1,59 +1,69 @@
-"""What is simulated to judge claims, and what is drawn of it.
+"""What is simulated to judge claims.
 
-An `Experiment` is run once and gives figures by name: the evidence. Cases that share a loop run
+An `Experiment` is run once and gives metrics by name: the evidence. Cases that share a loop run
 together in one batch (`measure`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxstage.metrics import columns
+from jaxstage.model.blocks import Metric
 from jaxstage.model.fields import definition
+from jaxstage.model.signals import Run, Sample
 from jaxstage.simulate.batch import rollouts
 from jaxstage.studies.case import Case
-from jaxstage.studies.claim import Evidence
+from jaxstage.studies.evidence import Evidence
 
 
 @definition
 class Experiment:
-    """name: short. text: what is simulated, one line. measure: simulates it, case -> figures."""
+    """name: short. text: what is simulated, one line. measure: simulates it, case -> metrics."""
 
     name: str
     text: str
     measure: Callable[[], Evidence]
 
 
+def stored(name: str, pick: Callable[[Sample], Any]) -> Metric:
+    """A metric that stores what ``pick`` takes of every tick, and reports nothing."""
+    return Metric(
+        name=name,
+        init=lambda setpoint: (),
+        update=lambda acc, sample, dt: (acc, pick(sample)),
+        finish=lambda acc: None,
+    )
+
+
 def measure(cases: Mapping[str, Case]) -> dict[str, dict[str, Any]]:
-    """Figures of the scored part of every case, and ``lost_at_s`` (None for a complete run)."""
-    runs = simulate_all(cases)
+    """Metrics of the scored part of every case, and ``lost_at_s`` (None for a complete run)."""
     return {
-        name: columns(run.report, cases[name].loop.plant) | {"lost_at_s": _lost(cases[name], run)}
-        for name, run in runs.items()
+        name: metrics_of(cases[name], run, run.report) for name, run in simulate_all(cases).items()
     }
 
 
-def measure_windows(cases: Mapping[str, Case]) -> dict[str, dict[str, Any]]:
-    """As `measure`, for loops whose metric is `together` of several windows of one metric: the
-    figures of window w of case c are called ``c/w``."""
-    runs = simulate_all(cases)
+def measure_windows(runs: Mapping[str, Run], cases: Mapping[str, Case]) -> dict[str, Any]:
+    """As `measure`, of runs whose metric is `together` of several windows of one metric: the
+    metrics of window w of case c are called ``c/w``."""
     return {
-        f"{name}/{part}": columns(figures, cases[name].loop.plant)
-        | {"lost_at_s": _lost(cases[name], run)}
+        f"{name}/{window}": metrics_of(cases[name], run, report)
         for name, run in runs.items()
-        for part, figures in run.report.items()
+        for window, report in run.report.items()
     }
 
 
-def _lost(case: Case, run: Any) -> float | None:
+def metrics_of(case: Case, run: Run, report: Any) -> dict[str, Any]:
+    """The columns of a report of a run, and ``lost_at_s``."""
     ticks = [int(tick) for tick in (run.final.left_path_at, run.final.non_finite_at) if tick >= 0]
-    return min(ticks) * case.loop.dt if ticks else None
+    lost = min(ticks) * case.loop.dt if ticks else None
+    return columns(report, case.loop.plant) | {"lost_at_s": lost}
 
 
-def simulate_all(cases: Mapping[str, Case]) -> dict[str, Any]:
+def simulate_all(cases: Mapping[str, Case]) -> dict[str, Run]:
     """The `Run` of every case; cases of one loop, length and shape run as one batch."""
     groups: dict[Any, list[str]] = {}
     for name, case in cases.items():
@@ -61,13 +71,13 @@ def simulate_all(cases: Mapping[str, Case]) -> dict[str, Any]:
         shapes = tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(inputs))
         key = (case.loop, case.window.ticks, jax.tree.structure(inputs), shapes)
         groups.setdefault(key, []).append(name)
-    runs: dict[str, Any] = {}
+    runs: dict[str, Run] = {}
     for names in groups.values():
         runs |= dict(zip(names, _batch([cases[name] for name in names]), strict=True))
     return {name: runs[name] for name in cases}
 
 
-def _batch(cases: Sequence[Case]) -> list[Any]:
+def _batch(cases: Sequence[Case]) -> list[Run]:
     first = cases[0]
     if len(cases) == 1:
         return [first.simulate()]
@@ -80,11 +90,8 @@ def _batch(cases: Sequence[Case]) -> list[Any]:
         differ,
         *trees,
     )
-    gains, scenario, path = stacked
-    run = rollouts(
-        first.loop, gains, scenario, path, first.window.ticks,
-        in_axes=jax.tree.map(lambda changed: 0 if changed else None, differ), tile=len(cases),
-    )  # fmt: skip
+    in_axes = jax.tree.map(lambda changed: 0 if changed else None, differ)
+    run = rollouts(first.loop, *stacked, first.window.ticks, in_axes=in_axes, tile=len(cases))
     run = jax.tree.map(np.asarray, run)
     return [jax.tree.map(lambda x, lane=lane: x[lane], run) for lane in range(len(cases))]
 
@@ -96,51 +103,3 @@ def _same(a: Any, b: Any) -> bool:
     if jnp.issubdtype(jnp.asarray(a).dtype, jax.dtypes.prng_key):
         a, b = jax.random.key_data(a), jax.random.key_data(b)
     return np.array_equal(np.asarray(a), np.asarray(b))
-
-
-# --- drawings --------------------------------------------------------------------------------
-
-
-class Line(NamedTuple):
-    """One line of a chart; x may hold names, for bars."""
-
-    label: str
-    x: Any
-    y: Any
-
-
-class Chart(NamedTuple):
-    """One panel. x, y: axis labels with units. text: how to read it. bars: x holds names. equal:
-    one scale for both axes, for paths."""
-
-    title: str
-    x: str
-    y: str
-    lines: tuple[Line, ...]
-    text: str = ""
-    bars: bool = False
-    log_x: bool = False
-    log_y: bool = False
-    equal: bool = False
-
-
-@definition
-class ChartDrawing:
-    """A picture of panels computed from the evidence. name: of the file. title: with its place in
-    the paper. text: how to read it, one or two sentences."""
-
-    name: str
-    title: str
-    text: str
-    charts: Callable[[Evidence], tuple[Chart, ...]]
-
-
-@definition
-class RunDrawing:
-    """Pictures of one recorded run. name: of the files, before the name of each view. text: what
-    figure of the paper it stands for. case: builds it. views: names of `jaxstage.plot` pictures."""
-
-    name: str
-    text: str
-    case: Callable[[], Case]
-    views: tuple[str, ...]

@@ -7,7 +7,8 @@ from jaxstage.model.blocks import Metric
 from jaxstage.model.fields import definition
 from jaxstage.studies.case import Case, Timing
 from jaxstage.studies.claim import Claim
-from jaxstage.studies.experiment import ChartDrawing, Experiment, RunDrawing
+from jaxstage.studies.experiment import Experiment
+from jaxstage.studies.plots import ChartPlot, RunPlot
 
 
 def no_notes(case: Case, figures: Mapping[str, Any]) -> tuple[str, ...]:
@@ -71,7 +72,7 @@ class Box:
 @definition
 class Study:
     """A system: its source, loops, references, spreads, boxes of its gains; what a paper claims of
-    it, the experiments that decide that, and drawings."""
+    it, the experiments that decide that, and plots."""
 
     name: str
     title: str
@@ -82,4 +83,4 @@ class Study:
     boxes: tuple[Box, ...] = ()
     experiments: tuple[Experiment, ...] = ()
     claims: tuple[Claim, ...] = ()
-    drawings: tuple[ChartDrawing | RunDrawing, ...] = ()
+    plots: tuple[ChartPlot | RunPlot, ...] = ()

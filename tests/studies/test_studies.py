@@ -32,7 +32,7 @@ from jaxstage.studies.claim import (
 from jaxstage.studies.comparison import stored_verdicts
 from jaxstage.studies.experiment import (
     Chart,
-    ChartDrawing,
+    ChartPlot,
     Experiment,
     Line,
     measure,
@@ -125,8 +125,8 @@ def test_a_study_is_whole(study):
     assert len(set(names)) == len(names)
     assert set(stored_verdicts(study)) == set(names), "run jaxstage compare STUDY --verdicts"
     assert set(stored_verdicts(study).values()) <= {HOLDS, FAILS, UNCHECKED}
-    assert len({drawing.name for drawing in study.drawings}) == len(study.drawings)
-    assert all(drawing.text for drawing in study.drawings) and study.references
+    assert len({plot.name for plot in study.plots}) == len(study.plots)
+    assert all(plot.text for plot in study.plots) and study.references
     assert all(0 < s.low < 1 < s.high and s.reason for s in study.spreads)
     case = study.loops[0].build(study.loops[0].timing)
     settings = known_leaves(case.gains, case.scenario)
@@ -226,8 +226,8 @@ def small_study(x):
             replace(a_claim(at_most(1.0), published=None), id="two"),
             unchecked("three", "Figure 2", "field test", None, "", "their machine"),
         ),
-        drawings=(
-            ChartDrawing(
+        plots=(
+            ChartPlot(
                 name="bars", title="Bars", text="how to read it",
                 charts=lambda e: (
                     Chart("t", "", "um", (Line("a", ("p", "q"), (1.0, None)),), bars=True),

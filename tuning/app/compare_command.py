@@ -17,7 +17,8 @@ from jaxstage.model.settings import nearest_name
 from jaxstage.studies import Comparison, Study, known_studies, with_metric
 from jaxstage.studies.claim import count
 from jaxstage.studies.comparison import stored_verdicts
-from jaxstage.studies.experiment import ChartDrawing, RunDrawing, measure
+from jaxstage.studies.experiment import measure
+from jaxstage.studies.plots import ChartPlot, RunPlot
 from jaxstage.system.files import write_text
 from jaxstage.system.runtime import cpu_cores
 from tuning.store.gains_file import read_gains
@@ -147,44 +148,44 @@ def _difference(share: float | None) -> str:
 
 
 def draw(compared: Comparison, folder: Path, others: Sequence[OtherGains] = ()) -> list[Path]:
-    """Write claims.png, the study's drawings and compare.json; returns the files."""
+    """Write claims.png, the study's plots and compare.json; returns the files."""
     from jaxstage import plot
 
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / "claims.png"]
     plot.save(plot.claims(compared.study.title, compared.claims), files[0])
-    drawings = compared.study.drawings
+    plots = compared.study.plots
     with ThreadPoolExecutor(cpu_cores()) as pool:
-        views = pool.map(_view, [d for d in drawings if isinstance(d, RunDrawing)])
-    for drawing in drawings:
-        if isinstance(drawing, ChartDrawing):
-            file = folder / f"{drawing.name}.png"
-            panels = drawing.charts(compared.evidence)
-            plot.save(plot.chart(drawing.title, drawing.text, panels), file)
+        views = pool.map(_view, [d for d in plots if isinstance(d, RunPlot)])
+    for planned in plots:
+        if isinstance(planned, ChartPlot):
+            file = folder / f"{planned.name}.png"
+            panels = planned.charts(compared.evidence)
+            plot.save(plot.chart(planned.title, planned.text, panels), file)
             files.append(file)
         else:
-            files += _draw_run(drawing, next(views), folder)
+            files += _draw_run(planned, next(views), folder)
     write_text(folder / "compare.json", json.dumps(as_object(compared, others), indent=2) + "\n")
     return files
 
 
-def _view(drawing: RunDrawing) -> Any:
-    """The recorded run of a drawing."""
+def _view(planned: RunPlot) -> Any:
+    """The recorded run of a plot."""
     from jaxstage import plot
 
     with jax.enable_x64(True):  # a setting of the thread
-        case = drawing.case()
+        case = planned.case()
         run = with_metric(case, together(case.loop.metric, record)).simulate()
         shown = plot.view(case, run.report["scored"], run.rows["record"])
-    return shown._replace(name=drawing.text)
+    return shown._replace(name=planned.text)
 
 
-def _draw_run(drawing: RunDrawing, view: Any, folder: Path) -> list[Path]:
+def _draw_run(planned: RunPlot, view: Any, folder: Path) -> list[Path]:
     from jaxstage import plot
 
     files = []
-    for name in drawing.views:
-        file = folder / f"{drawing.name}-{name}.png"
+    for name in planned.views:
+        file = folder / f"{planned.name}-{name}.png"
         plot.save(plot.VIEWS[name](view), file)
         files.append(file)
     return files

@@ -1,9 +1,9 @@
 """Adaptive sliding-mode control of a lead-screw table (Msukwa and Uchiyama 2019)."""
 
 from jaxstage.studies.adaptive_smc.claims import claims
-from jaxstage.studies.adaptive_smc.drawings import drawings
 from jaxstage.studies.adaptive_smc.experiments import experiments
 from jaxstage.studies.adaptive_smc.loops import BOXES, SPREADS, loops
+from jaxstage.studies.adaptive_smc.plots import plots
 from jaxstage.studies.study import Study
 
 study = Study(
@@ -17,5 +17,5 @@ study = Study(
     boxes=BOXES,
     experiments=experiments,
     claims=claims,
-    drawings=drawings,
+    plots=plots,
 )

@@ -52,8 +52,8 @@ from jaxstage.studies.adaptive_smc.loops import (
     scene,
 )
 from jaxstage.studies.case import Case, with_metric
-from jaxstage.studies.claim import Evidence
-from jaxstage.studies.experiment import Experiment, simulate_all
+from jaxstage.studies.evidence import Evidence
+from jaxstage.studies.experiment import Experiment, measure_windows, simulate_all, stored
 
 #: slopes tried for the accuracy of ASMC, 1/s
 SLOPES = {"s1": np.arange(40.0, 81.0, 5.0), "s7": np.arange(60.0, 121.0, 10.0)}
@@ -85,12 +85,7 @@ def _traced(sample: Sample) -> dict[str, Array]:
 
 
 #: stores error, command and gain of every tick, each (ticks, axes)
-trace = Metric(
-    name="trace",
-    init=lambda setpoint: (),
-    update=lambda acc, sample, dt: (acc, _traced(sample)),
-    finish=lambda acc: None,
-)
+trace = stored("trace", _traced)
 
 
 def light(case: Case, *more: Metric) -> Case:
@@ -107,24 +102,21 @@ def light(case: Case, *more: Metric) -> Case:
     )
 
 
-def figures(cases: Mapping[str, Case], drawn: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Figures of both windows as ``case/late`` and ``case/whole``; for the cases in ``drawn`` the
+def evidence_of(cases: Mapping[str, Case], shown: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Metrics of both windows as ``case/late`` and ``case/whole``; for the cases in ``shown`` the
     stored signals too, as ``case/trace``."""
-    found: dict[str, Any] = {}
-    for name, run in simulate_all(cases).items():
-        case = cases[name]
-        ticks = [int(t) for t in (run.final.left_path_at, run.final.non_finite_at) if t >= 0]
-        lost = {"lost_at_s": min(ticks) * case.loop.dt if ticks else None}
-        for window, report in run.report.items():
-            found[f"{name}/{window}"] = columns(report, case.loop.plant) | lost
+    runs = simulate_all(cases)
+    evidence = measure_windows(runs, cases)
+    for name, run in runs.items():
         if run.rows is None:
             continue
-        found[f"{name}/late"] |= _fast(case, run.rows["trace"]["command"])
-        if name in drawn:
+        case = cases[name]
+        evidence[f"{name}/late"] |= _fast(case, run.rows["trace"]["command"])
+        if name in shown:
             signals = {k: np.asarray(v) for k, v in run.rows["trace"].items()}
             time = np.arange(case.window.ticks) * case.loop.dt
-            found[f"{name}/trace"] = signals | {"time": time}
-    return found
+            evidence[f"{name}/trace"] = signals | {"time": time}
+    return evidence
 
 
 def _fast(case: Case, command: Array) -> dict[str, Any]:
@@ -173,8 +165,8 @@ def table() -> Evidence:
     rubbing = replace(smc["s1"].scenario, plant=values.plain_friction())
     cases["smc-s1/coulomb"] = smc["s1"]._replace(scenario=rubbing)
     cases["smc-s1/psi-printed"] = _with_psi_as_printed(smc["s1"])
-    drawn = ("smc-s1", "asmc-s1", "smc-star-star-s1", "asmc-s7")
-    return figures({name: light(case, trace) for name, case in cases.items()}, drawn)
+    shown = ("smc-s1", "asmc-s1", "smc-star-star-s1", "asmc-s7")
+    return evidence_of({name: light(case, trace) for name, case in cases.items()}, shown)
 
 
 def _with_psi_as_printed(case: Case) -> Case:
@@ -208,7 +200,7 @@ def trials() -> Evidence:
         for regime in REGIMES
         for seed in range(TRIALS)
     }
-    return figures(cases, tuple(name for name in cases if name.endswith("trial-0")))
+    return evidence_of(cases, tuple(name for name in cases if name.endswith("trial-0")))
 
 
 def over_trials(evidence: Evidence, name: str, window: str, figure: str) -> list[Any]:
@@ -227,9 +219,7 @@ def _machine(draw: np.random.Generator, case: Case) -> tuple[Case, float, float]
     friction = replace(plant.friction, coulomb=dry, static=dry * between(1.0, 36.0))
     mass = gains.nominal.mass * draw.uniform(0.7, 1.0)
     q = between(1e-4, 0.03)
-    gains = replace(
-        gains, switching_gain=jnp.full(2, q), nominal=replace(gains.nominal, mass=mass)
-    )  # fmt: skip
+    gains = replace(gains, switching_gain=jnp.full(2, q), nominal=replace(gains.nominal, mass=mass))
     scenario = replace(case.scenario, plant=replace(plant, friction=friction))
     return case._replace(gains=gains, scenario=scenario), between(1e5, 1e6), between(5e-6, 1e-3)
 
@@ -246,7 +236,7 @@ def machines() -> Evidence:
         cases[f"machine-{number}/asmc"] = case._replace(gains=adapts)
         cases[f"machine-{number}/smc"] = case._replace(gains=fixed)
         cases[f"machine-{number}/smc-star"] = _with_slope(case._replace(gains=fixed), 80.0)
-    return figures(cases)
+    return evidence_of(cases)
 
 
 def limits() -> Evidence:
@@ -277,8 +267,10 @@ def limits() -> Evidence:
     def limit(delay: float) -> float:
         return stability_limit(
             lambda gain: spectral_radius(each(np.stack([gain, gain], axis=1), delay)),
-            1.0, 1000.0, 1e-7,
-        )  # fmt: skip
+            1.0,
+            1000.0,
+            1e-7,
+        )
 
     return {"limits": {"difference_1_per_s": limit(0.0), "difference_delay_1_per_s": limit(1.0)}}
 
@@ -305,13 +297,13 @@ def step_response() -> Evidence:
     x = np.array(way)
     time = np.arange(len(x)) * step
     names = ("low", "high", "nonlinear")
-    found: dict[str, Any] = {"step/trace": dict(zip(names, x.T, strict=True)) | {"time": time}}
+    evidence: dict[str, Any] = {"step/trace": dict(zip(names, x.T, strict=True)) | {"time": time}}
     for name, response in zip(names, x.T, strict=True):
-        found[f"step/{name}"] = {
+        evidence[f"step/{name}"] = {
             "overshoot": float(max(response.max() - 1, 0)),
             "rise_s": float(time[np.argmax(response >= 0.9)]),
         }
-    return found
+    return evidence
 
 
 experiments: tuple[Experiment, ...] = (
@@ -319,16 +311,19 @@ experiments: tuple[Experiment, ...] = (
         name="step", text="step response at low, high and nonlinear damping", measure=step_response
     ),
     Experiment(
-        name="table", measure=table,
+        name="table",
+        measure=table,
         text="SMC, SMC*, SMC** and ASMC in eight scenarios, other slopes, linear surfaces",
     ),
     Experiment(
-        name="trials", measure=trials,
+        name="trials",
+        measure=trials,
         text=f"SMC, ASMC and SMC* with noise, {TRIALS} trials in two regimes",
     ),
     Experiment(
-        name="machines", measure=machines,
+        name="machines",
+        measure=machines,
         text=f"SMC, ASMC and SMC* on {MACHINES} machines drawn at random",
     ),
     Experiment(name="limits", text="stability limits of the sampled loop", measure=limits),
-)  # fmt: skip
+)

@@ -83,9 +83,7 @@ class Law(NamedTuple):
 
 
 def _encoder() -> Encoder:
-    return Encoder(
-        resolution=jnp.asarray(values.RESOLUTION), bandwidth=jnp.asarray(np.inf)
-    )  # fmt: skip
+    return Encoder(resolution=jnp.asarray(values.RESOLUTION), bandwidth=jnp.asarray(np.inf))
 
 
 def _width() -> SmoothWidth:
@@ -101,20 +99,30 @@ SCENES = (
     Scene("s1", "friction fitted to Table 3"),
     Scene("s2", "fitted friction, smooth switching", q=values.Q_SMALL, switch=smooth, width=_width),
     Scene(
-        "s3", "fitted friction, encoder of 25 nm", sensor=encoder, encoder=_encoder,
+        "s3",
+        "fitted friction, encoder of 25 nm",
+        sensor=encoder,
+        encoder=_encoder,
         error_rate=error_rate.differenced,
     ),
     Scene("s4", "fitted friction, switching of 0.3 m/s2", q=values.Q_PRINTED),
     Scene("s5", "fitted friction, constant feed", phase=constant_feed_phase),
     Scene(
-        "s6", "fitted friction, rate of psi from the model", damping=bounded_below,
+        "s6",
+        "fitted friction, rate of psi from the model",
+        damping=bounded_below,
         damping_rate=modelled(1),
     ),
     Scene(
-        "s7", "Coulomb friction, 20 % too light a model, switching",
-        values.plain_friction, q=values.Q_SMALL, mass_error=0.8, rate=1e6, dead_zone=1e-3,
+        "s7",
+        "Coulomb friction, 20 % too light a model, switching",
+        values.plain_friction,
+        q=values.Q_SMALL,
+        mass_error=0.8,
+        rate=1e6,
+        dead_zone=1e-3,
     ),
-)  # fmt: skip
+)
 #: its energy comes to the closed form at first order in the control period: off by 2.13e-5 at
 #: 10 ms, 1.05e-5 at the published 5 ms, 4.9e-6 at 2.5 ms
 MATCHED = Scene("s0m", "no disturbance, started at speed", values.frictionless, start_speed=1.0)
@@ -134,19 +142,25 @@ def _adaptive(scene: Scene) -> Any:
 LAWS = (
     Law("smc", "sliding mode, K = 80", reaching.fixed, lambda _: values.fixed_gain()),
     Law(
-        "smc-star", "sliding mode, K = 80, lam = 80", reaching.fixed,
-        lambda _: values.fixed_gain(), 80.0,
+        "smc-star",
+        "sliding mode, K = 80, lam = 80",
+        reaching.fixed,
+        lambda _: values.fixed_gain(),
+        80.0,
     ),
     Law(
-        "smc-star-star", "sliding mode, integral gain law", reaching.integral,
+        "smc-star-star",
+        "sliding mode, integral gain law",
+        reaching.integral,
         lambda _: values.integral_gain(),
     ),
     Law("asmc", "sliding mode, adaptive gain law", reaching.adaptive, _adaptive),
-)  # fmt: skip
+)
 FLOORED = LAWS[3]._replace(
-    name="asmc-floored", summary="sliding mode, adaptive gain law kept at its floor",
+    name="asmc-floored",
+    summary="sliding mode, adaptive gain law kept at its floor",
     form=reaching.adaptive_floored,
-)  # fmt: skip
+)
 STIFF = Law("smc-k120", "sliding mode, K = 120", reaching.fixed, lambda _: values.fixed_gain(120.0))
 
 
@@ -181,9 +195,7 @@ def build(law: Law, scene: Scene, timing: Timing) -> Case:
     phase, path = _motion(scene, timing)
     ticks = window(timing, round(float(path.lap_time) / timing.dt))
     metric = every_figure(ticks, timing)
-    gains = values.gains(
-        law.gains(scene), law.slope, scene.q, scene.width(), scene.mass_error
-    )  # fmt: skip
+    gains = values.gains(law.gains(scene), law.slope, scene.q, scene.width(), scene.mass_error)
     loop = Loop(
         plant=screw_table(),
         controller=per_axis(

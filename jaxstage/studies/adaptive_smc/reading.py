@@ -1,14 +1,14 @@
 """What the claims of the adaptive sliding-mode paper read out of the evidence.
 
-Figures are those of `experiments.figures`: ``run/late`` from 1 s on, ``run/whole``.
+Metrics are those of `experiments.evidence_of`: ``run/late`` from 1 s on, ``run/whole``.
 """
 
 from statistics import mean
 from typing import Any
 
-from jaxstage.studies.adaptive_smc.experiments import over_trials
-from jaxstage.studies.claim import Evidence
-from jaxstage.studies.figures import ratio
+from jaxstage.studies.adaptive_smc.experiments import MACHINES, over_trials
+from jaxstage.studies.claim import paper_claims
+from jaxstage.studies.evidence import Evidence, Pick, of
 from jaxstage.studies.packaged import packaged_toml
 
 PUBLISHED = packaged_toml("adaptive-smc", "published.toml")
@@ -16,45 +16,42 @@ TABLE3, TABLE4, TABLE5 = PUBLISHED["table3"], PUBLISHED["table4"], PUBLISHED["ta
 TEXT = PUBLISHED["text"]
 LAWS = {"smc": "SMC", "asmc": "ASMC"}
 CELLS = {
-    "max_x": "largest error of axis 1", "max_y": "largest error of axis 2",
-    "mean_x": "mean error of axis 1", "mean_y": "mean error of axis 2",
-}  # fmt: skip
+    f"{metric}_{axis}": f"{words} error of axis {number}"
+    for metric, words in (("max", "largest"), ("mean", "mean"))
+    for number, axis in enumerate("xy", 1)
+}
+ERROR = "following_mean_um"
 
-FITTED = "rests on the friction fitted to the SMC row of Table 3 (chosen)"
-ARITHMETIC = "arithmetic of printed figures"
-SMOOTH = "friction as fitted, q = 0.3 N as (12) has it (chosen reading): next to no switching"
-SWITCHED = "switching of 0.01 m/s2, Coulomb friction, 20 % too light a model (chosen)"
+paper = paper_claims("adaptive-smc", machines=MACHINES)
 
 
-def cell(evidence: Evidence, name: str, which: str) -> float | None:
+def cell(run: str, which: str) -> Pick:
     """A cell of Tables 3 and 4 in um, e.g. ``max_x``, of a run."""
-    figure, axis = which.split("_")
-    return evidence[f"{name}/late"][f"following_{figure}_um"][axis]
+    metric, axis = which.split("_")
+    return of(f"{run}/late", f"following_{metric}_um", axis)
 
 
-def _added(figure: Any) -> float | None:
-    values = list(figure.values()) if isinstance(figure, dict) else [figure]
+def _added(metric: Any) -> float | None:
+    values = list(metric.values()) if isinstance(metric, dict) else [metric]
     return None if None in values else sum(values)
 
 
-def total(evidence: Evidence, name: str, figure: str, window: str = "late") -> float | None:
-    """A figure of a run, added over the axes where it has them."""
-    return _added(evidence[f"{name}/{window}"][figure])
+def total(run: str, metric: str = ERROR, window: str = "late") -> Pick:
+    """A metric of a run, added over the axes where it has them."""
+    return lambda evidence: _added(evidence[f"{run}/{window}"][metric])
 
 
-def trial_mean(evidence: Evidence, name: str, window: str, figure: str) -> float | None:
-    """Mean over the trials of a figure, added over the axes where it has them."""
-    found = over_trials(evidence, name, window, figure)
-    whole = [v for v in map(_added, found) if v is not None]
-    return mean(whole) if len(whole) == len(found) else None
+def trial_mean(name: str, metric: str = ERROR, window: str = "late") -> Pick:
+    """Mean over the trials of a metric, added over the axes where it has them."""
+
+    def pick(evidence: Evidence) -> float | None:
+        every = [_added(value) for value in over_trials(evidence, name, window, metric)]
+        known = [value for value in every if value is not None]
+        return mean(known) if len(known) == len(every) else None
+
+    return pick
 
 
-def energy(evidence: Evidence, name: str) -> float | None:
+def energy(run: str) -> Pick:
     """Energy in J of the whole run."""
-    return evidence[f"{name}/whole"]["energy_J"]
-
-
-def rise(top: float | None, bottom: float | None) -> float | None:
-    """Share added, top / bottom - 1."""
-    share = ratio(top, bottom)
-    return None if share is None else share - 1
+    return of(f"{run}/whole", "energy_J")

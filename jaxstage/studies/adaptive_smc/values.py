@@ -159,9 +159,12 @@ def integral_gain(rate: float = 0.8e12) -> IntegralGain:
 
 
 def gains(
-    reaching: Any, slope: float = 40.0, q: float | None = None, switch: Any = (),
+    reaching: Any,
+    slope: float = 40.0,
+    q: float | None = None,
+    switch: Any = (),
     mass_error: float = 1.0,
-) -> NonlinearSurface:  # fmt: skip
+) -> NonlinearSurface:
     """lam = 40, gam = 1.8, beta = 10 of Table 2. q: m/s2; None is the printed number as 0.3 N."""
     axis = nominal(mass_error)
     return NonlinearSurface(

@@ -1,9 +1,9 @@
 """Adaptive fuzzy PID cross-coupled control of a three-axis stage (Science Progress 2021)."""
 
 from jaxstage.studies.fuzzy_ccc.claims import claims
-from jaxstage.studies.fuzzy_ccc.drawings import drawings
 from jaxstage.studies.fuzzy_ccc.experiments import experiments
 from jaxstage.studies.fuzzy_ccc.loops import BOXES, SPREADS, loops
+from jaxstage.studies.fuzzy_ccc.plots import plots
 from jaxstage.studies.study import Study
 
 study = Study(
@@ -16,5 +16,5 @@ study = Study(
     boxes=BOXES,
     experiments=experiments,
     claims=claims,
-    drawings=drawings,
+    plots=plots,
 )

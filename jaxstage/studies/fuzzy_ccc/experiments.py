@@ -1,6 +1,5 @@
 """What is simulated to judge the claims of the fuzzy cross-coupling paper."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -10,7 +9,6 @@ from jax import Array
 
 from jaxstage.controllers import disturbance_observer, fuzzy_pid_contour, pd, per_axis, plus
 from jaxstage.metrics import (
-    columns,
     command_change,
     contour,
     contour_gains,
@@ -25,8 +23,14 @@ from jaxstage.model.settings import known_leaves, replaced
 from jaxstage.model.signals import Sample
 from jaxstage.numerics.smooth import exact
 from jaxstage.studies.case import Case, Timing, scored, with_metric
-from jaxstage.studies.claim import Evidence
-from jaxstage.studies.experiment import Experiment, measure, simulate_all
+from jaxstage.studies.evidence import Evidence
+from jaxstage.studies.experiment import (
+    Experiment,
+    measure,
+    metrics_of,
+    simulate_all,
+    stored,
+)
 from jaxstage.studies.fuzzy_ccc import values
 from jaxstage.studies.fuzzy_ccc.loops import (
     SPREADS,
@@ -80,17 +84,6 @@ def _machines(name: str, case: Case) -> dict[str, Case]:
     }
 
 
-def _figures(cases: Mapping[str, Case], runs: Mapping[str, Any]) -> dict[str, Any]:
-    """Figures of runs, and ``lost_at_s``."""
-    found = {}
-    for name, run in runs.items():
-        loop = cases[name].loop
-        ticks = [int(t) for t in (run.final.left_path_at, run.final.non_finite_at) if t >= 0]
-        lost = {"lost_at_s": min(ticks) * loop.dt if ticks else None}
-        found[name] = columns(run.report, loop.plant) | lost
-    return found
-
-
 def couplings() -> Evidence:
     """The laws with and without cross-coupling, other numbers, other machines; the rules of the
     adaptive one before and after."""
@@ -109,14 +102,14 @@ def couplings() -> Evidence:
         | {name: _light(one) for name, one in scalar_forms().items()}
     )
     runs = simulate_all(cases)
-    found = _figures(cases, runs)
+    evidence = {name: metrics_of(cases[name], run, run.report) for name, run in runs.items()}
     learned = runs["af-pid-ccc"].final.memory.extra.learned
-    found["af-pid-ccc/rules"] = {"before": adaptive.gains.extra.rules, "after": learned}
+    evidence["af-pid-ccc/rules"] = {"before": adaptive.gains.extra.rules, "after": learned}
     means = {
-        f"{name}_gain": jnp.asarray(found["af-pid-ccc"][f"contour_{name}_mean_1_per_{unit}"])
+        f"{name}_gain": jnp.asarray(evidence["af-pid-ccc"][f"contour_{name}_mean_1_per_{unit}"])
         for name, unit in (("proportional", "s2"), ("integral", "s3"), ("derivative", "s"))
     }
-    return found | measure(
+    return evidence | measure(
         {"pid-ccc": pid, "pid-ccc/mean-gains": coupled_to(pid, **means)}
         | of_pid(pid)
         | _machines("pid-ccc", pid)
@@ -126,9 +119,11 @@ def couplings() -> Evidence:
 def axis_laws() -> Evidence:
     """The PD law without observer, and with the one of the sliding mode."""
     watched = Law(
-        "pd-observed", "PD with observer", plus(per_axis(pd), per_axis(disturbance_observer)),
+        "pd-observed",
+        "PD with observer",
+        plus(per_axis(pd), per_axis(disturbance_observer)),
         lambda axis: values.observed(values.pd_gains(axis), axis),
-    )  # fmt: skip
+    )
     return measure({one.name: _light(build(one, one.name, TIMING)) for one in (law("pd"), watched)})
 
 
@@ -142,8 +137,8 @@ def switched(name: str, contour_law: Controller | None, gains: Any, timing: Timi
 def sign_gains(eta: float, observer: bool = True) -> Any:
     """Gains of sliding mode with the sign, and observer; without it its gain is next to 0."""
     axis = values.nominal()
-    found = values.observed(values.sliding_gains(axis, eta, switch=()), axis)
-    return found if observer else blind(found)
+    gains = values.observed(values.sliding_gains(axis, eta, switch=()), axis)
+    return gains if observer else blind(gains)
 
 
 def _signals(sample: Sample) -> dict[str, Array]:
@@ -155,13 +150,8 @@ def _signals(sample: Sample) -> dict[str, Array]:
     }
 
 
-#: what the drawings of switching show, of every tick
-SIGNALS = Metric(
-    name="signals",
-    init=lambda setpoint: (),
-    update=lambda acc, sample, dt: (acc, _signals(sample)),
-    finish=lambda acc: None,
-)
+#: what the plots of switching show, of every tick
+SIGNALS = stored("signals", _signals)
 
 #: the sliding modes of the observer's part of the paper: switching gain, with observer or not
 SIGNS = {
@@ -179,14 +169,14 @@ def switching() -> Evidence:
         for name, how in SIGNS.items()
     }
     runs = simulate_all(cases)
-    found = _figures(cases, runs) | {
-        f"{name}/signals": jax.tree.map(np.asarray, run.rows["signals"])
-        for name, run in runs.items()
-    }
+    evidence: dict[str, Any] = {}
+    for name, run in runs.items():
+        evidence[name] = metrics_of(cases[name], run, run.report)
+        evidence[f"{name}/signals"] = jax.tree.map(np.asarray, run.rows["signals"])
     whole = replace(SWITCHED, skip=None)
     axis, watched = values.nominal(), sign_gains(SMALL)
     coupled = values.coupled(watched, values.fuzzy_gains(), axis)
-    return found | measure(
+    return evidence | measure(
         {
             "sign, none": _light(switched("none", None, watched, whole)),
             "sign, af-pid-ccc": _light(switched("af", fuzzy_pid_contour(), coupled, whole)),
@@ -212,7 +202,8 @@ experiments: tuple[Experiment, ...] = (
     ),
     Experiment(name="pd", text="PD with and without the observer", measure=axis_laws),
     Experiment(
-        name="switching", text="switching by the sign, with and without observer",
+        name="switching",
+        text="switching by the sign, with and without observer",
         measure=switching,
     ),
-)  # fmt: skip
+)

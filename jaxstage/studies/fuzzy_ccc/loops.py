@@ -130,26 +130,41 @@ def _schedule(memory: Any) -> tuple[Array, Array, Array]:
 
 LAWS = (
     Law(
-        "none", "sliding mode with observer, no coupling", observing(), observing_gains,
-        _bare, _bare_surface,
+        "none",
+        "sliding mode with observer, no coupling",
+        observing(),
+        observing_gains,
+        _bare,
+        _bare_surface,
     ),
     Law(
-        "pid-ccc", "the same with PID cross-coupling", coupling(pid_contour()),
-        lambda axis: coupling_gains(values.pid_gains(), axis), _inner, _surface,
+        "pid-ccc",
+        "the same with PID cross-coupling",
+        coupling(pid_contour()),
+        lambda axis: coupling_gains(values.pid_gains(), axis),
+        _inner,
+        _surface,
     ),
     Law(
-        "fuzzy-frozen", "the same, gains by fuzzy rules that do not learn",
+        "fuzzy-frozen",
+        "the same, gains by fuzzy rules that do not learn",
         coupling(fuzzy_pid_contour()),
         lambda axis: coupling_gains(values.fuzzy_gains(adapting=False), axis),
-        _inner, _surface, _schedule,
+        _inner,
+        _surface,
+        _schedule,
     ),
     Law(
-        "af-pid-ccc", "the same, adaptive fuzzy PID cross-coupling",
+        "af-pid-ccc",
+        "the same, adaptive fuzzy PID cross-coupling",
         coupling(fuzzy_pid_contour()),
-        lambda axis: coupling_gains(values.fuzzy_gains(), axis), _inner, _surface, _schedule,
+        lambda axis: coupling_gains(values.fuzzy_gains(), axis),
+        _inner,
+        _surface,
+        _schedule,
     ),
     Law("pd", "PD with acceleration feed-forward, no observer", per_axis(pd), values.pd_gains),
-)  # fmt: skip
+)
 
 
 def law(name: str) -> Law:

@@ -96,9 +96,11 @@ def scalar_forms() -> dict[str, Case]:
     rounding = Rounding(rounding=values.fuzzy_gains().rounding)
     laws = [
         Law(
-            f"{name}/scalar", "", coupling(contour),
+            f"{name}/scalar",
+            "",
+            coupling(contour),
             partial(coupling_gains, replace(gains, form=rounding)),
         )
         for name, (contour, gains) in forms.items()
-    ]  # fmt: skip
+    ]
     return {one.name: build(one, one.name, TIMING) for one in laws}

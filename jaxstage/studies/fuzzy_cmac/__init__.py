@@ -1,9 +1,9 @@
 """Direct fuzzy CMAC sliding-mode tracking of a biaxial stage (Mao et al. 2021)."""
 
 from jaxstage.studies.fuzzy_cmac.claims import claims
-from jaxstage.studies.fuzzy_cmac.drawings import drawings
 from jaxstage.studies.fuzzy_cmac.experiments import experiments
 from jaxstage.studies.fuzzy_cmac.loops import BOXES, CONTOURS, SPREADS, loops
+from jaxstage.studies.fuzzy_cmac.plots import plots
 from jaxstage.studies.study import Study
 
 study = Study(
@@ -16,5 +16,5 @@ study = Study(
     boxes=BOXES,
     experiments=experiments,
     claims=claims,
-    drawings=drawings,
+    plots=plots,
 )

@@ -11,8 +11,13 @@ from jaxstage.metrics import contour as contour_error
 from jaxstage.metrics import effort, sliding_figures, together, tracking, windowed
 from jaxstage.model.fields import replace
 from jaxstage.studies.case import Case, Timing, scored, with_metric
-from jaxstage.studies.claim import Evidence
-from jaxstage.studies.experiment import Experiment, measure, measure_windows
+from jaxstage.studies.evidence import Evidence
+from jaxstage.studies.experiment import (
+    Experiment,
+    measure,
+    measure_windows,
+    simulate_all,
+)
 from jaxstage.studies.fuzzy_cmac.loops import CONTOURS, SPREADS, build, law
 from jaxstage.studies.machines import other_machine
 
@@ -50,9 +55,8 @@ def _laps(name: str, contour: str) -> Case:
 
 def tables() -> Evidence:
     """Every cell of Table 2, first and second lap."""
-    return measure_windows(
-        {f"{name}-{contour}": _laps(name, contour) for name in TABLE_LAWS for contour in CONTOURS}
-    )
+    cases = {f"{name}-{c}": _laps(name, c) for name in TABLE_LAWS for c in CONTOURS}
+    return measure_windows(simulate_all(cases), cases)
 
 
 def _light(case: Case) -> Case:
@@ -63,11 +67,13 @@ def _light(case: Case) -> Case:
 def _disturbed(case: Case, amplitude: float, coupling: float) -> Case:
     load = (
         SineLoad(
-            amplitude=jnp.full(2, amplitude), frequency=jnp.full(2, LOAD_FREQUENCY),
-            phase=jnp.array([0.0, np.pi / 2]), bias=jnp.zeros(2),
+            amplitude=jnp.full(2, amplitude),
+            frequency=jnp.full(2, LOAD_FREQUENCY),
+            phase=jnp.array([0.0, np.pi / 2]),
+            bias=jnp.zeros(2),
         ),
         CouplingLoad(coupling=jnp.array([[0.0, coupling], [-coupling, 0.0]])),
-    )  # fmt: skip
+    )
     loop = replace(case.loop, load=all_loads(sine_load, coupling_load))
     return _light(case._replace(loop=loop, scenario=replace(case.scenario, load=load)))
 
@@ -109,9 +115,9 @@ def published_only(name: str) -> Callable[[], Evidence]:
     return lambda: measure({f"{name}-{c}": _light(build(law(name), c, USUAL)) for c in CONTOURS})
 
 
-def across_machines(evidence: Evidence, name: str, figure: str) -> list[float | None]:
-    """A figure of one law on every drawn machine."""
-    return [evidence[f"{name}-circle/machine-{seed}"][figure] for seed in range(DRAWS)]
+def machines(law: str) -> tuple[str, ...]:
+    """The names of the cases of one law on every drawn machine."""
+    return tuple(f"{law}-circle/machine-{seed}" for seed in range(DRAWS))
 
 
 _DISTURBED = f"four contours, {DRAWS} other machines, load, cross-coupling"

@@ -1,10 +1,10 @@
 """Model-reference and adaptive sliding-mode control of a two-inertia axis (Zhang et al. 2023)."""
 
 from jaxstage.studies.mrac_asmc.claims import claims
-from jaxstage.studies.mrac_asmc.drawings import drawings
 from jaxstage.studies.mrac_asmc.experiments import experiments
 from jaxstage.studies.mrac_asmc.loops import BOXES, SPREADS
 from jaxstage.studies.mrac_asmc.loops import loops as every_loop
+from jaxstage.studies.mrac_asmc.plots import plots
 from jaxstage.studies.study import Study
 
 study = Study(
@@ -17,5 +17,5 @@ study = Study(
     boxes=BOXES,
     experiments=experiments,
     claims=claims,
-    drawings=drawings,
+    plots=plots,
 )

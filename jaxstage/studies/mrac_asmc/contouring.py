@@ -14,13 +14,13 @@ from jax import Array
 
 from jaxstage.controllers import per_axis
 from jaxstage.hardware.drives import current_drive
-from jaxstage.model.blocks import Metric, Reference
+from jaxstage.model.blocks import Reference
 from jaxstage.model.fields import param, pytree, replace
 from jaxstage.plants import two_inertia
 from jaxstage.references import analytic
 from jaxstage.studies.case import Case, window
-from jaxstage.studies.claim import Evidence
-from jaxstage.studies.experiment import simulate_all
+from jaxstage.studies.evidence import Evidence
+from jaxstage.studies.experiment import simulate_all, stored
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.loops import TIMING, Law, law, make_loop, version
 
@@ -48,12 +48,9 @@ def circling(dt: float) -> Reference:
     return analytic("circling", _position, dt)
 
 
-#: Stores the contour error of the load and the positions of the motors.
-both_sides = Metric(
-    name="both_sides",
-    init=lambda setpoint: (),
-    update=lambda acc, sample, dt: (acc, (sample.nearest.distance, sample.output.drive_position)),
-    finish=lambda acc: None,
+#: stores the contour error of the load and the positions of the motors
+both_sides = stored(
+    "both_sides", lambda sample: (sample.nearest.distance, sample.output.drive_position)
 )
 
 
@@ -67,9 +64,10 @@ def circled(law: Law) -> Case:
     drives = version("")
     loop = replace(
         make_loop(per_axis(law.controller), drives, both_sides, TIMING),
-        plant=two_inertia(AXES, drives.side), drive=current_drive(len(AXES)),
+        plant=two_inertia(AXES, drives.side),
+        drive=current_drive(len(AXES)),
         reference=circling(TIMING.dt),
-    )  # fmt: skip
+    )
     scenario = _each_axis(values.scenario())
     moving = replace(scenario.start, velocity=jnp.ones(len(AXES)))
     return Case(

@@ -10,7 +10,7 @@ from jaxstage.controllers import position_input
 from jaxstage.model.fields import replace
 from jaxstage.numerics.smooth import Layer, implicit
 from jaxstage.studies.case import Case
-from jaxstage.studies.claim import Evidence
+from jaxstage.studies.evidence import Evidence
 from jaxstage.studies.experiment import Experiment, simulate_all
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.contouring import circles
@@ -82,8 +82,9 @@ def ideal_implicit() -> dict[str, Case]:
     fixed = values.sigmoid()
     law = replace(
         values.sliding_mode(0, Layer(layer=values.value(1))),
-        slope=fixed.slope, switching_gain=fixed.switching_gain,
-    )  # fmt: skip
+        slope=fixed.slope,
+        switching_gain=fixed.switching_gain,
+    )
     return {"implicit-mrac": traced(switched_law(implicit), gains_of(law, True), IDEAL)}
 
 

@@ -50,9 +50,12 @@ RUNAWAY = 10.0
 AXIS = "x"
 
 TIMING = Timing(
-    lap_time=values.PERIOD, dt=values.DT, substeps=values.SUBSTEPS, duration=values.DURATION,
+    lap_time=values.PERIOD,
+    dt=values.DT,
+    substeps=values.SUBSTEPS,
+    duration=values.DURATION,
     skip=values.SKIP,
-)  # fmt: skip
+)
 
 _COMMISSIONED = "chosen: what is left after commissioning a drive"
 _DRY = "chosen: dry friction moves with temperature and lubrication; F_s stays above F_c"
@@ -115,34 +118,54 @@ def _inner_adapting(memory: Any, dt: float) -> tuple[Array, Array, Array, Array]
 
 def _within_mrac(name: str, summary: str, gains: Callable[[], Any]) -> Law:
     return Law(
-        name, f"{summary}, MRAC inner loop", model_reference(adaptive_sliding()),
-        lambda: values.inner(gains()), _inner_surface, _inner_adapting,
-    )  # fmt: skip
+        name,
+        f"{summary}, MRAC inner loop",
+        model_reference(adaptive_sliding()),
+        lambda: values.inner(gains()),
+        _inner_surface,
+        _inner_adapting,
+    )
 
 
 LAWS = (
     Law(
-        "sim1", "adaptive sliding mode, fixed slope", adaptive_sliding(), values.sim1, _surface,
+        "sim1",
+        "adaptive sliding mode, fixed slope",
+        adaptive_sliding(),
+        values.sim1,
+        _surface,
         _adapting,
     ),
     Law(
-        "sim2", "adaptive sliding mode, adaptive slope", adaptive_sliding(), values.sim2, _surface,
+        "sim2",
+        "adaptive sliding mode, adaptive slope",
+        adaptive_sliding(),
+        values.sim2,
+        _surface,
         _adapting,
     ),
     Law(
-        "smc1500", "sliding mode, eps = 1500", sliding(),
-        lambda: values.sliding_mode(1500), _surface, None,
+        "smc1500",
+        "sliding mode, eps = 1500",
+        sliding(),
+        lambda: values.sliding_mode(1500),
+        _surface,
+        None,
     ),
     Law(
-        "smc500-mrac", "sliding mode, eps = 500, MRAC inner loop", model_reference(sliding()),
-        lambda: values.inner(values.sliding_mode(500)), _inner_surface, None,
+        "smc500-mrac",
+        "sliding mode, eps = 500, MRAC inner loop",
+        model_reference(sliding()),
+        lambda: values.inner(values.sliding_mode(500)),
+        _inner_surface,
+        None,
     ),
     _within_mrac("asmc-mrac", "adaptive sliding mode", values.asmc),
     _within_mrac(
         "asmc-mrac-caps", "adaptive sliding mode with caps", functools.partial(values.asmc, True)
     ),
     Law("cascade", "PID with rate feed-forward", cascade, values.cascade_gains, None, None),
-)  # fmt: skip
+)
 
 
 class Version(NamedTuple):

@@ -32,7 +32,7 @@ from jaxstage.model.signals import Sample
 from jaxstage.numerics.smooth import Switch, exact
 from jaxstage.references import step, stepping, swing
 from jaxstage.studies.case import Case, window
-from jaxstage.studies.experiment import simulate_all
+from jaxstage.studies.experiment import simulate_all, stored
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.loops import TIMING, Version, make_loop
 
@@ -40,8 +40,11 @@ from jaxstage.studies.mrac_asmc.loops import TIMING, Version, make_loop
 START = 0.5
 #: frequency bands of Figure 17, in Hz, and the lowest frequency that counts as chattering
 BANDS = {
-    "1_50": (1.0, 50.0), "50_150": (50.0, 150.0), "150_340": (150.0, 340.0), "50_340": (50.0, 340.0)
-}  # fmt: skip
+    "1_50": (1.0, 50.0),
+    "50_150": (50.0, 150.0),
+    "150_340": (150.0, 340.0),
+    "50_340": (50.0, 340.0),
+}
 CHATTERING = 50.0
 #: an error that stays below this is a steady state, in um (chosen: a fifth of the largest)
 SETTLED = 10.0
@@ -100,12 +103,7 @@ def _row(shown: Callable[[Any], dict[str, Array]], sample: Sample) -> dict[str, 
 @functools.cache
 def trace(shown: Callable[[Any], dict[str, Array]]) -> Metric:
     """Stores the drive's error, the commanded velocity, the command and what the law shows."""
-    return Metric(
-        name="trace",
-        init=lambda setpoint: (),
-        update=lambda acc, sample, dt: (acc, _row(shown, sample)),
-        finish=lambda acc: None,
-    )
+    return stored("trace", functools.partial(_row, shown))
 
 
 def traced(law: Composed, gains: Any, drives: Version, period: float = values.PERIOD) -> Case:
@@ -136,9 +134,12 @@ def stepped(law: Composed, gains: Any, drives: Version, height: float, duration:
     ticks = window(replace(TIMING, duration=duration, skip=0.0), 1)
     loop = replace(case.loop, reference=stepping(TIMING.dt), metric=trace(law.shown))
     return case._replace(
-        loop=loop, metric=loop.metric, scenario=replace(case.scenario, start=start),
-        path=jax.tree.map(jnp.asarray, step(height)), window=ticks,
-    )  # fmt: skip
+        loop=loop,
+        metric=loop.metric,
+        scenario=replace(case.scenario, start=start),
+        path=jax.tree.map(jnp.asarray, step(height)),
+        window=ticks,
+    )
 
 
 # --- figures ---------------------------------------------------------------------------------

@@ -116,9 +116,12 @@ def scenario(rough: bool = False) -> Scenario:
 
 
 def adaptive(
-    slope: float, gain: float, sharpness: float, rates: tuple[float, float, float] = (0, 0, 0),
+    slope: float,
+    gain: float,
+    sharpness: float,
+    rates: tuple[float, float, float] = (0, 0, 0),
     caps: bool = False,
-) -> AdaptiveSliding:  # fmt: skip
+) -> AdaptiveSliding:
     """c(0), eps(0), a(0) and (g_c, g_eps, g_a) as printed, angles in rad."""
     return AdaptiveSliding(
         slope=value(slope),
@@ -186,7 +189,7 @@ def cascade_gains() -> Cascade:
 def inner(law: Any, active: bool = True) -> ModelReference:
     """The MRAC inner loop (chosen: the paper cites a law without printing it).
 
-    Picked from about 45 settings, partly by their result in scenario R. active: without, all rates
+    Pick from about 45 settings, partly by their result in scenario R. active: without, all rates
     are 0 and the loop passes the demand of the law through.
     """
     rates = Rates(
@@ -199,11 +202,13 @@ def inner(law: Any, active: bool = True) -> ModelReference:
         leak=value(0.0),
         rates=rates if active else jax.tree.map(np.zeros_like, rates),
         limits=Limits(
-            input=value(0.9), viscous=value(500.0), dry=value(1000.0 / RATIO),
+            input=value(0.9),
+            viscous=value(500.0),
+            dry=value(1000.0 / RATIO),
             constant=value(1000.0 / RATIO),
         ),
         nominal=nominal(),
-    )  # fmt: skip
+    )
 
 
 def ahead(gains: Any, amplitude: float = FEEDFORWARD) -> Offset:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxstage.studies import known_studies
-from jaxstage.studies.experiment import ChartDrawing
+from jaxstage.studies.plots import ChartPlot
 from tuning.app.reports import single
 from tuning.app.reports.page import Page, Table, number, pictures
 
@@ -63,16 +63,16 @@ def _difference(share: float | None) -> str:
 
 
 def _texts(name: str) -> dict[str, str]:
-    """Picture -> how to read it, from the drawings of the study."""
+    """Picture -> how to read it, from the plots of the study."""
     texts = {
         "claims": "All claims that can be checked: a dot is our figure over the published one, 1 "
         "is equal; the colour is the verdict."
     }
     for study in known_studies():
-        for drawing in study.drawings if study.name == name else ():
-            if isinstance(drawing, ChartDrawing):
-                texts[drawing.name] = f"{drawing.title}. {drawing.text}"
+        for plot in study.plots if study.name == name else ():
+            if isinstance(plot, ChartPlot):
+                texts[plot.name] = f"{plot.title}. {plot.text}"
             else:
-                for view in drawing.views:
-                    texts[f"{drawing.name}-{view}"] = f"{drawing.text}. {single.TEXTS[view]}"
+                for view in plot.views:
+                    texts[f"{plot.name}-{view}"] = f"{plot.text}. {single.TEXTS[view]}"
     return texts

@@ -6,11 +6,11 @@ import numpy as np
 
 from jaxstage.references.nurbs import points
 from jaxstage.studies.case import Timing
-from jaxstage.studies.claim import Evidence
-from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
-from jaxstage.studies.fuzzy_cmac.experiments import CREDITS, DRAWS, across_machines
+from jaxstage.studies.evidence import Evidence
+from jaxstage.studies.fuzzy_cmac.experiments import CREDITS, DRAWS, machines
 from jaxstage.studies.fuzzy_cmac.loops import CONTOURS, build, law
 from jaxstage.studies.fuzzy_cmac.table_claims import TABLE2
+from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot
 
 NAMES = tuple(CONTOURS)
 
@@ -38,29 +38,42 @@ def _laws(evidence: Evidence) -> tuple[Chart, ...]:
     lines = tuple(
         Line(label, NAMES, [evidence[f"{name}-{c}"]["contour_rms_um"] for c in NAMES])
         for name, label in (
-            ("sliding", "ideal sliding mode"), ("cmac", "CMAC"), ("dfcmac", "DFCMAC"),
+            ("sliding", "ideal sliding mode"),
+            ("cmac", "CMAC"),
+            ("dfcmac", "DFCMAC"),
             ("cascade", "industrial cascade"),
         )
-    )  # fmt: skip
+    )
     return (
         Chart(
-            title="as published", x="", y="contour error RMS in µm", lines=lines, bars=True,
+            title="as published",
+            x="",
+            y="contour error RMS in µm",
+            lines=lines,
+            bars=True,
             log_y=True,
         ),
         Chart(
-            title=f"{DRAWS} uncertain machines, circle", x="machines, best first",
-            y="contour error RMS in µm", log_y=True,
+            title=f"{DRAWS} uncertain machines, circle",
+            x="machines, best first",
+            y="contour error RMS in µm",
+            log_y=True,
             lines=tuple(
                 Line(
-                    label, list(range(1, DRAWS + 1)),
-                    sorted(v for v in across_machines(evidence, name, "contour_rms_um") if v),
+                    label,
+                    list(range(1, DRAWS + 1)),
+                    sorted(
+                        filter(None, (evidence[case]["contour_rms_um"] for case in machines(name)))
+                    ),
                 )
                 for name, label in (
-                    ("cmac", "CMAC"), ("dfcmac", "DFCMAC"), ("cascade", "industrial cascade")
+                    ("cmac", "CMAC"),
+                    ("dfcmac", "DFCMAC"),
+                    ("cascade", "industrial cascade"),
                 )
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 def _credits(evidence: Evidence) -> tuple[Chart, ...]:
@@ -84,28 +97,36 @@ def _contours(evidence: Evidence) -> tuple[Chart, ...]:
     return tuple(charts)
 
 
-drawings: tuple[ChartDrawing | RunDrawing, ...] = (
-    ChartDrawing(
-        name="figure06", title="Figure 6: the reference contours", charts=_contours,
+plots: tuple[ChartPlot | RunPlot, ...] = (
+    ChartPlot(
+        name="figure06",
+        title="Figure 6: the reference contours",
+        charts=_contours,
         text="Rational B-splines from the control points, knots and weights of Table 1. Heart and "
         "star have corners, where no axis can follow without an error.",
     ),
-    ChartDrawing(
-        name="table2", title="Table 2: tracking error of the simulations", charts=_table2,
+    ChartPlot(
+        name="table2",
+        title="Table 2: tracking error of the simulations",
+        charts=_table2,
         text="The level and the saving agree; which contour is hard does not.",
     ),
-    ChartDrawing(
-        name="laws", title="All laws on the same machine", charts=_laws,
+    ChartPlot(
+        name="laws",
+        title="All laws on the same machine",
+        charts=_laws,
         text="An industrial cascade with full feed-forward, tuned by hand, beside the "
         "paper's laws. Right: on machines that none of them was told about.",
     ),
-    ChartDrawing(
-        name="credits", title="What the improvement rests on", charts=_credits,
+    ChartPlot(
+        name="credits",
+        title="What the improvement rests on",
+        charts=_credits,
         text="The learning rate makes the difference: with the credit 0.442 the conventional CMAC "
         "learns as fast as the fuzzy one and is as good, with 1 it is better.",
     ),
     *(
-        RunDrawing(
+        RunPlot(
             name=f"figure{number:02d}-{contour}",
             text=f"Figure {number}: {contour}, DFCMAC, first lap",
             case=partial(build, law("dfcmac"), contour, Timing(laps=1)),
@@ -113,4 +134,4 @@ drawings: tuple[ChartDrawing | RunDrawing, ...] = (
         )
         for number, contour in zip((7, 8, 9, 10), NAMES, strict=True)
     ),
-)  # fmt: skip
+)

@@ -12,8 +12,8 @@ from jaxstage.studies.adaptive_smc.reading import (
     TABLE3,
     TABLE5,
 )
-from jaxstage.studies.claim import Evidence
-from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
+from jaxstage.studies.evidence import Evidence
+from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot
 
 NAMES = {"smc": "SMC", "asmc": "ASMC", "smc-star": "SMC*", "smc-star-star": "SMC**"}
 MEANING = {"s3": "smooth (fitted friction)", "s7": "switching (0.01 m/s²)"}
@@ -22,9 +22,13 @@ TRIAL_NAMES = tuple(f"trial {seed + 1}" for seed in range(TRIALS))
 
 
 def _signals(
-    evidence: Evidence, runs: dict[str, str], signal: str, axis: int, scale: float = 1.0,
+    evidence: Evidence,
+    runs: dict[str, str],
+    signal: str,
+    axis: int,
+    scale: float = 1.0,
     span: tuple[float, float] = (0.0, np.inf),
-) -> tuple[Line, ...]:  # fmt: skip
+) -> tuple[Line, ...]:
     """A stored signal of several runs, label -> run, in a span of time in s."""
     lines = []
     for label, run in runs.items():
@@ -51,11 +55,13 @@ def _both_axes(
 ) -> list[Chart]:
     return [
         Chart(
-            title=f"{title}, axis {axis + 1}", x="time in s", y=signal.label,
+            title=f"{title}, axis {axis + 1}",
+            x="time in s",
+            y=signal.label,
             lines=_signals(evidence, runs, signal.name, axis, signal.scale, (begin, np.inf)),
         )
         for axis in (0, 1)
-    ]  # fmt: skip
+    ]
 
 
 def _difference(
@@ -64,20 +70,14 @@ def _difference(
     """What the later runs differ by from the first, which they would hide."""
     lines, base = [], next(iter(runs))
     for axis in (0, 1):
-        first, *others = _signals(
-            evidence, runs, signal.name, axis, signal.scale, (begin, np.inf)
-        )  # fmt: skip
+        first, *others = _signals(evidence, runs, signal.name, axis, signal.scale, (begin, np.inf))
         lines += [Line(f"{o.label}, axis {axis + 1}", o.x, o.y - first.y) for o in others]
-    return Chart(
-        title=f"{title}, less {base}", x="time in s", y=signal.label, lines=tuple(lines)
-    )  # fmt: skip
+    return Chart(title=f"{title}, less {base}", x="time in s", y=signal.label, lines=tuple(lines))
 
 
 def _close(evidence: Evidence, runs: dict[str, str], title: str, signal: _Signal) -> Chart:
     lines = _signals(evidence, runs, signal.name, 0, signal.scale, CLOSE)
-    return Chart(
-        title=f"{title}, axis 1, close up", x="time in s", y=signal.label, lines=lines
-    )  # fmt: skip
+    return Chart(title=f"{title}, axis 1, close up", x="time in s", y=signal.label, lines=lines)
 
 
 def _step(evidence: Evidence) -> tuple[Chart, ...]:
@@ -101,22 +101,30 @@ def _figure5(evidence: Evidence) -> tuple[Chart, ...]:
     return (
         *(
             Chart(
-                title=f"axis {axis + 1}", x="time in s", y="gain K in 1/s",
+                title=f"axis {axis + 1}",
+                x="time in s",
+                y="gain K in 1/s",
                 lines=_signals(evidence, runs, "gain", axis),
             )
             for axis in (0, 1)
         ),
         Chart(
-            title="axis 1, where switching dominates", x="time in s", y="gain K in 1/s",
+            title="axis 1, where switching dominates",
+            x="time in s",
+            y="gain K in 1/s",
             lines=_signals(evidence, collapse, "gain", 0),
         ),
-    )  # fmt: skip
+    )
 
 
 def _bars(
-    evidence: Evidence, laws: tuple[str, ...], window: str, figure: str, unit: str,
+    evidence: Evidence,
+    laws: tuple[str, ...],
+    window: str,
+    figure: str,
+    unit: str,
     scale: float = 1.0,
-) -> tuple[Chart, ...]:  # fmt: skip
+) -> tuple[Chart, ...]:
     """One panel a regime (and axis, where the figure has axes), one group of bars a trial."""
     charts = []
     for regime in REGIMES:
@@ -155,10 +163,13 @@ def _matched(evidence: Evidence) -> tuple[Chart, ...]:
         note = f"SMC matches at λ = {found[0]:.0f} 1/s" if found else ""
         charts.append(
             Chart(
-                title=meaning, x="mean following error in µm", y="energy in mWh",
-                lines=tuple(lines), text=note,
+                title=meaning,
+                x="mean following error in µm",
+                y="energy in mWh",
+                lines=tuple(lines),
+                text=note,
             )
-        )  # fmt: skip
+        )
     return tuple(charts)
 
 
@@ -203,68 +214,94 @@ def _table5(evidence: Evidence) -> tuple[Chart, ...]:
 BOTH, STAR = ("smc", "asmc"), ("smc-star", "asmc")
 
 
-def _chart(name: str, title: str, text: str, charts: Any) -> ChartDrawing:
-    return ChartDrawing(name=name, title=title, text=text, charts=charts)
+def _chart(name: str, title: str, text: str, charts: Any) -> ChartPlot:
+    return ChartPlot(name=name, title=title, text=text, charts=charts)
 
 
-drawings: tuple[ChartDrawing | RunDrawing, ...] = (
+plots: tuple[ChartPlot | RunPlot, ...] = (
     _chart(
-        "figure01-step", "Figure 1: step response",
-        "Nonlinear damping rises from low to high on the way.", _step,
+        "figure01-step",
+        "Figure 1: step response",
+        "Nonlinear damping rises from low to high on the way.",
+        _step,
     ),
-    RunDrawing(
-        name="figure02-trifolium", text="Figure 2: the trajectory, with the error of ASMC",
-        case=partial(build, law("asmc"), scene("s1"), TIMING), views=("contour", "error"),
+    RunPlot(
+        name="figure02-trifolium",
+        text="Figure 2: the trajectory, with the error of ASMC",
+        case=partial(build, law("asmc"), scene("s1"), TIMING),
+        views=("contour", "error"),
     ),
     _chart(
-        "figure04-tracking", "Figure 4: following error",
-        "Friction is fitted to the SMC row of Table 3. The run starts at rest.", _figure4,
+        "figure04-tracking",
+        "Figure 4: following error",
+        "Friction is fitted to the SMC row of Table 3. The run starts at rest.",
+        _figure4,
     ),
     _chart(
-        "figure05-gain", "Figure 5: adaptive gain",
+        "figure05-gain",
+        "Figure 5: adaptive gain",
         "The integral law stays at its limit. The adaptive gain settles near d / (J ε), and "
-        "collapses where the switching does the work.", _figure5,
+        "collapses where the switching does the work.",
+        _figure5,
     ),
     _chart(
-        "figure06-energy", "Figure 6: energy", "Five trials with noise.",
+        "figure06-energy",
+        "Figure 6: energy",
+        "Five trials with noise.",
         partial(_bars, laws=BOTH, window="whole", figure="energy_J", unit="mWh", scale=1 / 3.6),
     ),
     _chart(
-        "figure07-tracking", "Figure 7: following error", "First trial.",
+        "figure07-tracking",
+        "Figure 7: following error",
+        "First trial.",
         partial(_trials, BOTH, ERROR),
     ),
     _chart(
-        "figure08-max", "Figure 8: largest following error", "Five trials with noise.",
+        "figure08-max",
+        "Figure 8: largest following error",
+        "Five trials with noise.",
         partial(_bars, laws=BOTH, window="late", figure="following_max_um", unit="µm"),
     ),
     _chart(
         "figure09-command", "Figure 9: command", "First trial.", partial(_trials, BOTH, COMMAND)
     ),
     _chart(
-        "figure10-variance", "Figure 10: variance of the command", "Five trials with noise.",
+        "figure10-variance",
+        "Figure 10: variance of the command",
+        "Five trials with noise.",
         partial(_bars, laws=BOTH, window="late", figure="command_variance_V2", unit="V²"),
     ),
     _chart(
-        "figure11-star-energy", "Figure 11: energy of SMC*", "SMC* has λ = 80 1/s. Five trials.",
+        "figure11-star-energy",
+        "Figure 11: energy of SMC*",
+        "SMC* has λ = 80 1/s. Five trials.",
         partial(_bars, laws=STAR, window="whole", figure="energy_J", unit="mWh", scale=1 / 3.6),
     ),
     _chart(
-        "figure12-star-tracking", "Figure 12: following error with SMC*", "First trial.",
+        "figure12-star-tracking",
+        "Figure 12: following error with SMC*",
+        "First trial.",
         partial(_trials, ("smc", "smc-star", "asmc"), ERROR),
     ),
     _chart(
-        "figure13-star-command", "Figure 13: command with SMC*", "First trial.",
+        "figure13-star-command",
+        "Figure 13: command with SMC*",
+        "First trial.",
         partial(_trials, STAR, COMMAND),
     ),
     _chart(
-        "table3", "Table 3: simulated errors",
-        "The SMC row is fitted. A fixed gain of 120 1/s predicts the ASMC row.", _table3,
+        "table3",
+        "Table 3: simulated errors",
+        "The SMC row is fitted. A fixed gain of 120 1/s predicts the ASMC row.",
+        _table3,
     ),
     _chart(
         "table5-energy", "Table 5: energy", "Mean of five trials, beside the printed one.", _table5
     ),
     _chart(
-        "matched-accuracy", "Energy at the same accuracy",
-        "SMC with its slope raised to the mean error of ASMC.", _matched,
+        "matched-accuracy",
+        "Energy at the same accuracy",
+        "SMC with its slope raised to the mean error of ASMC.",
+        _matched,
     ),
-)  # fmt: skip
+)

@@ -16,12 +16,12 @@ from jaxstage.controllers.parts.fuzzy import (
 )
 from jaxstage.model.fields import replace
 from jaxstage.studies.case import Timing
-from jaxstage.studies.claim import Evidence
-from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
+from jaxstage.studies.evidence import Evidence
 from jaxstage.studies.fuzzy_ccc import values
 from jaxstage.studies.fuzzy_ccc.claims import BLIND, OBSERVED, TABLE4, TABLE5
 from jaxstage.studies.fuzzy_ccc.loops import TIMING, build, law
 from jaxstage.studies.fuzzy_ccc.variants import LEAK, MASS_ERROR, PROPORTIONAL, RATES
+from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot
 
 AXES = ("x", "y", "z")
 
@@ -61,7 +61,9 @@ def _rules(evidence: Evidence) -> tuple[Chart, ...]:
 
     return tuple(
         Chart(
-            title=f"{name} {when} learning", x="X2, normalised rate", y=name,
+            title=f"{name} {when} learning",
+            x="X2, normalised rate",
+            y=name,
             lines=tuple(
                 Line(f"X1 = {labels[row]}", np.asarray(x), np.asarray(inferred(table, row)))
                 for row in met
@@ -70,7 +72,7 @@ def _rules(evidence: Evidence) -> tuple[Chart, ...]:
         for when, rules in evidence["af-pid-ccc/rules"].items()
         for field, name in RULES.items()
         for table in [jnp.asarray(getattr(rules, field))]
-    )  # fmt: skip
+    )
 
 
 #: a look at single switchings, in s
@@ -87,12 +89,14 @@ def _control(case: str, evidence: Evidence) -> tuple[Chart, ...]:
     parts = {": total variation {:.3g} A/s": slice(None), ", closer": close}
     return tuple(
         Chart(
-            title=axis + what.format(varied[axis]), x="time in s", y="current in A",
+            title=axis + what.format(varied[axis]),
+            x="time in s",
+            y="current in A",
             lines=(Line(axis, time[part], current[part, i]),),
         )
         for what, part in parts.items()
         for i, axis in enumerate(AXES)
-    )  # fmt: skip
+    )
 
 
 def _disturbance(evidence: Evidence) -> tuple[Chart, ...]:
@@ -100,7 +104,9 @@ def _disturbance(evidence: Evidence) -> tuple[Chart, ...]:
     time, true, estimate = signals["time_s"], signals["load_N"] / mass, signals["estimate_m_per_s2"]
     return tuple(
         Chart(
-            title=axis, x="time in s", y="acceleration in m/s2",
+            title=axis,
+            x="time in s",
+            y="acceleration in m/s2",
             lines=(
                 Line("disturbance", time, true[:, i]),
                 Line("its estimate", time, estimate[:, i]),
@@ -108,23 +114,30 @@ def _disturbance(evidence: Evidence) -> tuple[Chart, ...]:
             ),
         )
         for i, axis in enumerate(AXES)
-    )  # fmt: skip
+    )
 
 
 def _errors(evidence: Evidence) -> tuple[Chart, ...]:
     laws = {
-        "PD": "pd", "PD with observer": "pd-observed", "sliding mode with observer": "none",
-    }  # fmt: skip
+        "PD": "pd",
+        "PD with observer": "pd-observed",
+        "sliding mode with observer": "none",
+    }
     lines = tuple(
         Line(label, AXES, [evidence[name]["following_rms_um"][a] for a in AXES])
         for label, name in laws.items()
     )
     return (
         Chart(
-            title="RMS following error", x="", y="µm", lines=lines, bars=True, log_y=True,
+            title="RMS following error",
+            x="",
+            y="µm",
+            lines=lines,
+            bars=True,
+            log_y=True,
             text="PD with the same observer ties with sliding mode: the observer does the work",
         ),
-    )  # fmt: skip
+    )
 
 
 def _saving(row: dict[str, float]) -> float:
@@ -150,28 +163,37 @@ def _savings(evidence: Evidence) -> tuple[Chart, ...]:
     }
     return tuple(
         Chart(
-            title=title, x="", y="saved by adaptive fuzzy coupling in %", bars=True,
+            title=title,
+            x="",
+            y="saved by adaptive fuzzy coupling in %",
+            bars=True,
             lines=(Line("published", names, printed[title]), Line("here", names, ours[title])),
         )
         for title in printed
-    )  # fmt: skip
+    )
 
 
 def _causes(evidence: Evidence) -> tuple[Chart, ...]:
     cases = {
-        "none": "none", "PID": "pid-ccc", "frozen": "fuzzy-frozen", "adaptive": "af-pid-ccc",
+        "none": "none",
+        "PID": "pid-ccc",
+        "frozen": "fuzzy-frozen",
+        "adaptive": "af-pid-ccc",
         **{f"× {factor:g}": f"af-pid-ccc/rates-{factor:g}" for factor in RATES},
         "mean": "pid-ccc/mean-gains",
-    }  # fmt: skip
+    }
     rms = [evidence[name]["contour_rms_um"] for name in cases.values()]
     return (
         Chart(
-            title="contour error RMS", x="", y="µm", bars=True,
+            title="contour error RMS",
+            x="",
+            y="µm",
+            bars=True,
             lines=(Line("RMS", tuple(cases), rms),),
             text="frozen: rules that do not learn; ×: learning rates; mean: PID with "
             "constant gains at the mean of the adapted ones",
         ),
-    )  # fmt: skip
+    )
 
 
 def _variants(evidence: Evidence) -> tuple[Chart, ...]:
@@ -190,35 +212,51 @@ def _variants(evidence: Evidence) -> tuple[Chart, ...]:
     return (
         bars(
             "masses in the laws and start",
-            ("no coupling", starts("none")), ("PID", starts("pid-ccc")),
+            ("no coupling", starts("none")),
+            ("PID", starts("pid-ccc")),
             ("adaptive fuzzy PID", starts("af-pid-ccc")),
         ),
         bars(
             "observer and form of the contour error",
-            ("RMS", {
-                "none": "none", "no observer": "none/blind", "PID": "pid-ccc",
-                "PID, scalar": "pid-ccc/scalar", "fuzzy": "af-pid-ccc",
-                "fuzzy, scalar": "af-pid-ccc/scalar",
-            }),
+            (
+                "RMS",
+                {
+                    "none": "none",
+                    "no observer": "none/blind",
+                    "PID": "pid-ccc",
+                    "PID, scalar": "pid-ccc/scalar",
+                    "fuzzy": "af-pid-ccc",
+                    "fuzzy, scalar": "af-pid-ccc/scalar",
+                },
+            ),
             text="no observer: no coupling either, and five times the switching gain",
             log=True,
         ),
         bars(
             "PID coupling",
-            ("RMS", {
-                "as it is": "pid-ccc", "K_I = 0": "pid-ccc/no-integral",
-                **{f"K_P = {gain:g}": f"pid-ccc/K_P-{gain:g}" for gain in PROPORTIONAL},
-            }),
+            (
+                "RMS",
+                {
+                    "as it is": "pid-ccc",
+                    "K_I = 0": "pid-ccc/no-integral",
+                    **{f"K_P = {gain:g}": f"pid-ccc/K_P-{gain:g}" for gain in PROPORTIONAL},
+                },
+            ),
         ),
         bars(
             "adaptive fuzzy PID coupling",
-            ("RMS", {
-                "as it is": "af-pid-ccc", "frozen": "fuzzy-frozen", "leak": "af-pid-ccc/leak",
-                **{f"× {factor:g}": f"af-pid-ccc/rates-{factor:g}" for factor in RATES},
-            }),
+            (
+                "RMS",
+                {
+                    "as it is": "af-pid-ccc",
+                    "frozen": "fuzzy-frozen",
+                    "leak": "af-pid-ccc/leak",
+                    **{f"× {factor:g}": f"af-pid-ccc/rates-{factor:g}" for factor in RATES},
+                },
+            ),
             text=f"leak: {LEAK:g} 1/s; ×: learning rates",
         ),
-    )  # fmt: skip
+    )
 
 
 #: without the start, whose error would hide all others
@@ -227,39 +265,52 @@ LATER = replace(TIMING, skip=1.0)
 
 def _run(
     figure: str, name: str, label: str, views: tuple[str, ...], timing: Timing = TIMING
-) -> RunDrawing:
-    return RunDrawing(
-        name=f"figure{figure}-{name}", text=f"Figure {figure.lstrip('0')}: {label}",
-        case=partial(build, law(name), name, timing), views=views,
-    )  # fmt: skip
+) -> RunPlot:
+    return RunPlot(
+        name=f"figure{figure}-{name}",
+        text=f"Figure {figure.lstrip('0')}: {label}",
+        case=partial(build, law(name), name, timing),
+        views=views,
+    )
 
 
-drawings: tuple[ChartDrawing | RunDrawing, ...] = (
-    ChartDrawing(
-        name="figure03-membership", title="Figure 3: membership functions", charts=_memberships,
+plots: tuple[ChartPlot | RunPlot, ...] = (
+    ChartPlot(
+        name="figure03-membership",
+        title="Figure 3: membership functions",
+        charts=_memberships,
         text="Seven Gaussian sets whose neighbours cross at one half; number and shape are chosen.",
     ),
-    ChartDrawing(
-        name="table1-rules", title="Table 1: the rules before and after learning", charts=_rules,
+    ChartPlot(
+        name="table1-rules",
+        title="Table 1: the rules before and after learning",
+        charts=_rules,
         text="Contour gain over the rate, one line for each row of the table at its centre: "
         "X1 = 3 tanh(-E / eps_sc) with E >= 0, so only the rows NB to ZO are met. The published "
         "rules are lost; the classical ones stand in.",
     ),
-    ChartDrawing(
-        name="figure05-control", title="Figure 5: control without observer",
-        charts=partial(_control, BLIND), text="Switching by the sign with a large gain.",
+    ChartPlot(
+        name="figure05-control",
+        title="Figure 5: control without observer",
+        charts=partial(_control, BLIND),
+        text="Switching by the sign with a large gain.",
     ),
-    ChartDrawing(
-        name="figure06-control", title="Figure 6: control with observer",
+    ChartPlot(
+        name="figure06-control",
+        title="Figure 6: control with observer",
         charts=partial(_control, OBSERVED),
         text="Switching by the sign with a tenth of the gain: what the observer allows.",
     ),
-    ChartDrawing(
-        name="figure06d-disturbance", title="Figure 6d: disturbance and estimate",
-        charts=_disturbance, text="With the small switching gain.",
+    ChartPlot(
+        name="figure06d-disturbance",
+        title="Figure 6d: disturbance and estimate",
+        charts=_disturbance,
+        text="With the small switching gain.",
     ),
-    ChartDrawing(
-        name="figure07-laws", title="Figure 7: PD and sliding mode", charts=_errors,
+    ChartPlot(
+        name="figure07-laws",
+        title="Figure 7: PD and sliding mode",
+        charts=_errors,
         text="The PD law has the poles of the sliding mode's boundary layer.",
     ),
     _run("07", "pd", "PD without observer", ("axes",)),
@@ -268,18 +319,24 @@ drawings: tuple[ChartDrawing | RunDrawing, ...] = (
     _run("08", "af-pid-ccc", "adaptive fuzzy PID cross-coupling", ("axes", "error", "schedule")),
     _run("08e", "pid-ccc", "PID cross-coupling", ("space",), LATER),
     _run("08e", "af-pid-ccc", "adaptive fuzzy PID cross-coupling", ("space",), LATER),
-    ChartDrawing(
-        name="tables", title="Tables 4 and 5: what adaptive fuzzy coupling saves", charts=_savings,
+    ChartPlot(
+        name="tables",
+        title="Tables 4 and 5: what adaptive fuzzy coupling saves",
+        charts=_savings,
         text="Shares only: the printed errors have no unit and their machine is not known.",
     ),
-    ChartDrawing(
-        name="causes", title="What the improvement rests on", charts=_causes,
+    ChartPlot(
+        name="causes",
+        title="What the improvement rests on",
+        charts=_causes,
         text="Faster learning raises the gains and lowers the error; constant gains of the same "
         "level do as well.",
     ),
-    ChartDrawing(
-        name="variants", title="Contour error RMS with other numbers", charts=_variants,
+    ChartPlot(
+        name="variants",
+        title="Contour error RMS with other numbers",
+        charts=_variants,
         text=f"Wrong masses: assumed {', '.join(map(str, MASS_ERROR))} times the true ones; from "
         "rest: on the path.",
     ),
-)  # fmt: skip
+)

@@ -5,13 +5,13 @@ from functools import partial
 
 import numpy as np
 
-from jaxstage.studies.claim import Evidence
-from jaxstage.studies.experiment import Chart, ChartDrawing, Line, RunDrawing
+from jaxstage.studies.evidence import Evidence
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.experiments import GAINS, LAYERS, RUN_TIMES, STEP_GAINS
 from jaxstage.studies.mrac_asmc.loops import TIMING, build, law, version
 from jaxstage.studies.mrac_asmc.picking import PUBLISHED
 from jaxstage.studies.mrac_asmc.traces import spectrum
+from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot
 
 #: every so many ticks of a trace are drawn
 THIN = 5
@@ -27,17 +27,19 @@ def _line(evidence: Evidence, label: str, case: str, signal: str = "error_um") -
     return Line(label, np.arange(len(drawn)) * THIN * TIMING.dt, drawn)
 
 
-def _errors(number: int, title: str, *cases: tuple[str, str]) -> ChartDrawing:
+def _errors(number: int, title: str, *cases: tuple[str, str]) -> ChartPlot:
     """Following errors over time, for a figure of the paper."""
 
     def charts(evidence: Evidence) -> tuple[Chart, ...]:
         lines = tuple(_line(evidence, label, case) for label, case in cases)
         return (Chart(title="motor side", x="time in s", y="error in µm", lines=lines),)
 
-    return ChartDrawing(
-        name=f"figure{number:02d}", title=f"Figure {number}: {title}", charts=charts,
+    return ChartPlot(
+        name=f"figure{number:02d}",
+        title=f"Figure {number}: {title}",
+        charts=charts,
         text="Following error of the motor; the reversals are at 2, 4, 6, ... s.",
-    )  # fmt: skip
+    )
 
 
 def _bipolar(evidence: Evidence) -> tuple[Chart, ...]:
@@ -82,8 +84,9 @@ def _means(evidence: Evidence) -> tuple[Chart, ...]:
         Line(label, names, [evidence[f"{case}{s}"]["mean_um"] for s in suffixes])
         for label, case in (("scenario R", "asmc-mrac-caps-r"), ("ideal", "asmc-mrac-caps"))
     )
-    return (Chart(title="second half of a period", x="", y="mean of |e| in µm", lines=lines,
-                  bars=True),)  # fmt: skip
+    return (
+        Chart(title="second half of a period", x="", y="mean of |e| in µm", lines=lines, bars=True),
+    )
 
 
 def _spectra(*cases: tuple[str, str]) -> Callable[[Evidence], tuple[Chart, ...]]:
@@ -96,10 +99,13 @@ def _spectra(*cases: tuple[str, str]) -> Callable[[Evidence], tuple[Chart, ...]]
             lines.append(Line(label, frequency[1 + JOINED // 2 :: JOINED][: len(peaks)], peaks))
         return (
             Chart(
-                title="t >= 4 s, Hann window, largest within 1 Hz", x="frequency in Hz",
-                y="amplitude in µm", lines=tuple(lines), log_y=True,
+                title="t >= 4 s, Hann window, largest within 1 Hz",
+                x="frequency in Hz",
+                y="amplitude in µm",
+                lines=tuple(lines),
+                log_y=True,
             ),
-        )  # fmt: skip
+        )
 
     return charts
 
@@ -138,7 +144,11 @@ def _switches(evidence: Evidence) -> tuple[Chart, ...]:
     cases |= {"sigmoid": "sigmoid-r", "ASMC+MRAC, capped": "asmc-mrac-caps-r"}
     return tuple(
         Chart(
-            title=title, x="", y=unit, bars=True, log_y=True,
+            title=title,
+            x="",
+            y=unit,
+            bars=True,
+            log_y=True,
             lines=(Line(title, list(cases), [evidence[c][figure] for c in cases.values()]),),
         )
         for title, figure, unit in (
@@ -146,15 +156,16 @@ def _switches(evidence: Evidence) -> tuple[Chart, ...]:
             ("variance of the error", "variance_um2", "variance in µm²"),
             ("change of the command a period", "command_step_Nm", "mean in N m"),
         )
-    )  # fmt: skip
+    )
 
 
 def _limit(evidence: Evidence) -> tuple[Chart, ...]:
     lines = []
     cases = {
-        "sigmoid, a = 50": "sigmoid-mrac", "sigmoid, a = 25": "sigmoid-mrac-soft",
+        "sigmoid, a = 50": "sigmoid-mrac",
+        "sigmoid, a = 25": "sigmoid-mrac-soft",
         "implicit": "implicit-mrac",
-    }  # fmt: skip
+    }
     for label, case in cases.items():
         command = evidence[case]["trace"]["command_Nm"][20_000:20_060]
         lines.append(Line(label, np.arange(len(command)) * TIMING.dt * 1e3, command))
@@ -162,10 +173,14 @@ def _limit(evidence: Evidence) -> tuple[Chart, ...]:
     return (
         Chart(title="60 periods", x="time in ms", y="command in N m", lines=tuple(lines)),
         Chart(
-            title="change of the command a period", x="", y="mean in N m", bars=True, log_y=True,
+            title="change of the command a period",
+            x="",
+            y="mean in N m",
+            bars=True,
+            log_y=True,
             lines=(Line("command", list(cases), steps),),
         ),
-    )  # fmt: skip
+    )
 
 
 def _contours(evidence: Evidence) -> tuple[Chart, ...]:
@@ -181,84 +196,113 @@ def _contours(evidence: Evidence) -> tuple[Chart, ...]:
     return tuple(charts)
 
 
-drawings: tuple[ChartDrawing | RunDrawing, ...] = (
-    ChartDrawing(
-        name="figure04", title="Figure 4: the bipolar function", charts=_bipolar,
+plots: tuple[ChartPlot | RunPlot, ...] = (
+    ChartPlot(
+        name="figure04",
+        title="Figure 4: the bipolar function",
+        charts=_bipolar,
         text="It approaches the sign as a grows.",
     ),
     _errors(5, "first simulation", ("fixed slope", "sim1")),
-    ChartDrawing(
-        name="figure06", title="Figure 6: switching gain",
+    ChartPlot(
+        name="figure06",
+        title="Figure 6: switching gain",
         charts=partial(_adapted, "gain", "eps in rad/s²"),
         text="Read how fast it rises at first, and whether it comes to rest.",
     ),
-    ChartDrawing(
-        name="figure07", title="Figure 7: sharpness", charts=partial(_adapted, "sharpness", "a"),
+    ChartPlot(
+        name="figure07",
+        title="Figure 7: sharpness",
+        charts=partial(_adapted, "sharpness", "a"),
         text="Read where it settles; printed is 50.",
     ),
     _errors(8, "second simulation", ("adaptive slope", "sim2")),
-    ChartDrawing(
-        name="figure10", title="Figures 10 and 11: steps of 0.5 mm", charts=_steps,
+    ChartPlot(
+        name="figure10",
+        title="Figures 10 and 11: steps of 0.5 mm",
+        charts=_steps,
         text="The reaching phase should take 0.5 c/eps. Compare arrival and steady chattering.",
     ),
     _errors(12, "SMC and PID", ("SMC", "smc1500-r"), ("PID", "cascade-r")),
     _errors(
-        13, "three laws", ("SMC", "smc1500-r"), ("SMC+MRAC", "smc500-mrac-r"),
+        13,
+        "three laws",
+        ("SMC", "smc1500-r"),
+        ("SMC+MRAC", "smc500-mrac-r"),
         ("ASMC+MRAC, capped", "asmc-mrac-caps-r"),
     ),
-    ChartDrawing(
-        name="figure14", title="Figure 14: run times", charts=_run_times,
+    ChartPlot(
+        name="figure14",
+        title="Figure 14: run times",
+        charts=_run_times,
         text="ASMC+MRAC, capped, over one period each: compare the errors, each on its own scale.",
     ),
-    ChartDrawing(
-        name="figure15", title="Figure 15: mean error and run time", charts=_means,
+    ChartPlot(
+        name="figure15",
+        title="Figure 15: mean error and run time",
+        charts=_means,
         text="ASMC+MRAC, capped. Bars of one height: the mean error is free of the run time.",
     ),
     _errors(
-        16, "feed-forward of 2 um", ("PID", "cascade-r"),
+        16,
+        "feed-forward of 2 um",
+        ("PID", "cascade-r"),
         ("ASMC+MRAC, capped, 2 um ahead", "asmc-mrac-caps-ahead-r"),
         ("ASMC+MRAC, capped", "asmc-mrac-caps-r"),
     ),
-    ChartDrawing(
-        name="figure17", title="Figure 17: spectra of PID and ASMC",
+    ChartPlot(
+        name="figure17",
+        title="Figure 17: spectra of PID and ASMC",
         charts=_spectra(("PID", "cascade-r"), ("ASMC+MRAC, capped", "asmc-mrac-caps-r")),
         text="The paper compares the levels of 1 to 50, 50 to 150 and 150 to 340 Hz.",
     ),
-    ChartDrawing(
-        name="figure18", title="Figure 18: spectra of SMC and ASMC",
+    ChartPlot(
+        name="figure18",
+        title="Figure 18: spectra of SMC and ASMC",
         charts=_spectra(
-            ("SMC", "smc1500-r"), ("ASMC+MRAC, capped", "asmc-mrac-caps-r"),
+            ("SMC", "smc1500-r"),
+            ("ASMC+MRAC, capped", "asmc-mrac-caps-r"),
             ("fixed sigmoid", "sigmoid-r"),
         ),
         text="Chattering counts from 50 Hz. The fixed sigmoid has neither adaptation nor MRAC.",
     ),
-    ChartDrawing(
-        name="table4", title="Table 4: variance of the following error", charts=_table4,
+    ChartPlot(
+        name="table4",
+        title="Table 4: variance of the following error",
+        charts=_table4,
         text="The filter of scenario R was picked for the first printed level; compare the order.",
     ),
-    ChartDrawing(
-        name="gains", title="Chattering, variance and heat over the switching gain", charts=_gains,
+    ChartPlot(
+        name="gains",
+        title="Chattering, variance and heat over the switching gain",
+        charts=_gains,
         text="Scenario R. The level line is ASMC+MRAC, capped, whose switching gain adapts.",
     ),
-    ChartDrawing(
-        name="switches", title="Ways to switch", charts=_switches,
+    ChartPlot(
+        name="switches",
+        title="Ways to switch",
+        charts=_switches,
         text="Scenario R. Implicit switching with eps = 1500 and layers of 1, 4 and 8 times the "
         "change of s in a period, beside sgn and a sigmoid with eps = 230.",
     ),
-    ChartDrawing(
-        name="limit", title="Published sharpness and control period", charts=_limit,
+    ChartPlot(
+        name="limit",
+        title="Published sharpness and control period",
+        charts=_limit,
         text="Ideal measurement, eps = 230 and MRAC for all three. A zigzag is an oscillation at "
         "half the sampling rate. The implicit switch has one layer, the change of s in a period.",
     ),
-    ChartDrawing(
-        name="xy", title="Circle of two axes: load and motor", charts=_contours,
+    ChartPlot(
+        name="xy",
+        title="Circle of two axes: load and motor",
+        charts=_contours,
         text="The encoders sit on the motors. The load adds the twist of the shafts, which no law "
         "here sees.",
     ),
-    RunDrawing(
+    RunPlot(
         name="asmc-mrac-caps-r",
         text="ASMC+MRAC, capped, scenario R: the tool lags the motor by the twist of the shaft",
         case=lambda: build(law("asmc-mrac-caps"), version("-r"), TIMING),
         views=("axes", "command", "surface"),
     ),
-)  # fmt: skip
+)
