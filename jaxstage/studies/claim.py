@@ -7,9 +7,8 @@ no simulation can decide is `unchecked`, with the reason.
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from operator import getitem
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from jaxstage.model.fields import definition, replace
 from jaxstage.studies.evidence import Evidence, Pick
@@ -82,29 +81,25 @@ BOUNDS: dict[str, Callable[[float], Bound]] = {
 }
 
 
-@dataclass(frozen=True)
+@definition
 class PaperClaims:
     """The claims of one paper, as the file ``claims.toml`` of its study states them.
 
     An entry holds ``where``, ``text``, ``reason`` and, where there is one, ``unit``; ``published``,
     a number or its place in ``published.toml``; and one of `BOUNDS`: a number, the name of a term,
-    ``published`` or ``published / 2``. Names in braces, in keys too, stand for terms and for the
-    words of a call.
+    ``published`` or ``published / 2``. Names in braces, in keys too, stand for terms and words.
     """
 
     entries: Mapping[str, Mapping[str, Any]]
     numbers: Mapping[str, Any]
     terms: Mapping[str, Any]
 
+    def about(self, **words: object) -> "PaperClaims":
+        """The same claims with more words for the names in braces."""
+        return replace(self, terms={**self.terms, **words})
+
     def claim(
-        self,
-        id: str,
-        ours: Pick,
-        /,
-        *,
-        bound: Bound | None = None,
-        published: float | None = None,
-        **words: object,
+        self, id: str, ours: Pick, bound: Bound | None = None, published: float | None = None
     ) -> Claim:
         """A claim that the evidence decides.
 
@@ -113,29 +108,28 @@ class PaperClaims:
             ours: Picks the metric out of the evidence.
             bound: When ours agrees, if the entry has none of `BOUNDS`.
             published: The printed number, if the entry has none.
-            **words: What names in braces stand for.
         """
-        stated = self.unchecked(id, published=published, **words)
+        stated = self.unchecked(id, published)
         number = stated.published or 0.0
-        limits = dict(self.terms) | {"published": number, "published / 2": number / 2}
+        limits = {**self.terms, "published": number, "published / 2": number / 2}
         for key, make in BOUNDS.items():
             if (limit := self.entries[id].get(key)) is not None:
                 bound = make(limits[limit] if isinstance(limit, str) else limit)
         assert bound is not None, id
         return replace(stated, ours=ours, bound=bound)
 
-    def unchecked(self, id: str, /, *, published: float | None = None, **words: object) -> Claim:
+    def unchecked(self, id: str, published: float | None = None) -> Claim:
         """A claim that no simulation can decide; arguments as of `claim`."""
         entry = self.entries[id]
         where, text, unit, reason = (
-            entry.get(key, "").format(**self.terms, **words)
-            for key in ("where", "text", "unit", "reason")
+            entry.get(key, "").format(**self.terms) for key in ("where", "text", "unit", "reason")
         )
         number = entry.get("published", published)
         if isinstance(number, str):
-            number = functools.reduce(getitem, number.format(**words).split("."), self.numbers)
+            place = number.format(**self.terms).split(".")
+            number = functools.reduce(getitem, place, cast(Any, self.numbers))
         return Claim(
-            id=id.format(**words).replace("_", "-"),
+            id=id.format(**self.terms).replace("_", "-"),
             where=where,
             text=text,
             published=None if number is None else float(number),
@@ -151,7 +145,8 @@ def paper_claims(study: str, **terms: object) -> PaperClaims:
     entries = dict(packaged_toml(study, "claims.toml"))
     for name, value in entries.pop("terms").items():
         terms[name] = value.format(**terms) if isinstance(value, str) else value
-    return PaperClaims(entries, packaged_toml(study, "published.toml"), terms)
+    numbers = packaged_toml(study, "published.toml")
+    return PaperClaims(entries=entries, numbers=numbers, terms=terms)
 
 
 class Judgement(NamedTuple):

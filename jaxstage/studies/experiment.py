@@ -91,9 +91,11 @@ def _batch(cases: Sequence[Case]) -> list[Run]:
         *trees,
     )
     in_axes = jax.tree.map(lambda changed: 0 if changed else None, differ)
-    run = rollouts(first.loop, *stacked, first.window.ticks, in_axes=in_axes, tile=len(cases))
+    gains, scenario, path = stacked
+    ticks, count = first.window.ticks, len(cases)
+    run = rollouts(first.loop, gains, scenario, path, ticks, in_axes=in_axes, tile=count)
     run = jax.tree.map(np.asarray, run)
-    return [jax.tree.map(lambda x, lane=lane: x[lane], run) for lane in range(len(cases))]
+    return [jax.tree.map(lambda x, lane=lane: x[lane], run) for lane in range(count)]
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -51,7 +51,6 @@ from jaxstage.studies.adaptive_smc import values as screw
 from jaxstage.studies.fuzzy_ccc import values as stage
 from jaxstage.studies.fuzzy_cmac.loops import (
     LAWS,
-    Law,
     cascade_gains,
     cmac_gains,
     dfcmac_gains,
@@ -59,6 +58,7 @@ from jaxstage.studies.fuzzy_cmac.loops import (
     scenario,
     sliding_gains,
 )
+from jaxstage.studies.law import StudyLaw
 from jaxstage.studies.mrac_asmc import values as axis
 from jaxstage.testing import DT as DT
 from jaxstage.testing import cast as cast
@@ -124,7 +124,7 @@ def _per_axis(maker: Callable[..., Controller], *arguments: Any) -> Controller:
     return per_axis(maker(*arguments))
 
 
-def _published(law: Law) -> Entry:
+def _published(law: StudyLaw) -> Entry:
     settled = law.name in ("pi", "cascade")
     return Entry(law.name, functools.partial(per_axis, law.controller), law.gains(), settled)
 

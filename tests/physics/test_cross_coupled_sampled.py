@@ -17,7 +17,8 @@ from jaxstage.numerics.smooth import exact, smooth
 from jaxstage.simulate.batch import rollouts
 from jaxstage.simulate.rollout import simulate
 from jaxstage.studies.fuzzy_ccc import values
-from jaxstage.studies.fuzzy_ccc.loops import TIMING, Law, build, coupling, observing
+from jaxstage.studies.fuzzy_ccc.loops import TIMING, build, coupling, observing
+from jaxstage.studies.law import StudyLaw
 from tests.helpers.batteries import tracing
 from tests.helpers.coupling import constant, learning, none, path, pid, scene, stacked, stage
 
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.long
 
 def loop(dt, switch=smooth, contour_law=None, metric=None, **changes):
     """The loop of the study; without a contour law: that of the adaptive coupling."""
-    law = Law(
+    law = StudyLaw(
         "bench", "", coupling(contour_law or fuzzy_pid_contour(), switch),
         lambda axis: stage(learning()),
     )  # fmt: skip

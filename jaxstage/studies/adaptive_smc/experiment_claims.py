@@ -24,17 +24,19 @@ def experiment() -> list[Claim]:
     """Tables 4 and 5, their arithmetic, and the five trials."""
     return [
         *(
-            paper.unchecked("table4-{law}-{cell}", law=law, cell=cell, label=label, meaning=meaning)
+            paper.about(law=law, cell=cell, label=label, meaning=meaning).unchecked(
+                "table4-{law}-{cell}"
+            )
             for law, label in LAWS.items()
             for cell, meaning in CELLS.items()
         ),
         *(
-            paper.unchecked("table5-variance-{law}-{axis}", law=law, axis=axis, label=label)
+            paper.about(law=law, axis=axis, label=label).unchecked("table5-variance-{law}-{axis}")
             for law, label in LAWS.items()
             for axis in "xy"
         ),
         *(
-            paper.unchecked("table5-energy-{law}", law=law, label=label)
+            paper.about(law=law, label=label).unchecked("table5-energy-{law}")
             for law, label in LAWS.items()
         ),
         *_printed_arithmetic(),
@@ -54,10 +56,9 @@ def _printed_arithmetic() -> list[Claim]:
         paper.claim("table4-max-reduction", peaks),
         paper.claim("table4-max-reduction-introduction", peaks),
         *(
-            paper.claim(
+            paper.about(axis=axis).claim(
                 "table4-mean-reduction-{axis}",
                 always(1 - asmc[f"mean_{axis}"] / smc[f"mean_{axis}"]),
-                axis=axis,
             )
             for axis in "xy"
         ),
@@ -65,8 +66,8 @@ def _printed_arithmetic() -> list[Claim]:
         paper.claim("table5-variance-reduction", always(1 - after / before)),
         paper.claim("text-variance-reduction", always(1 - after / told)),
         *(
-            paper.claim(
-                "table5-variance-text-{axis}", always(TEXT["smc_variance"][axis]), axis=axis
+            paper.about(axis=axis).claim(
+                "table5-variance-text-{axis}", always(TEXT["smc_variance"][axis])
             )
             for axis in "xy"
         ),
@@ -82,24 +83,21 @@ def _trials() -> list[Claim]:
     claims = []
     for regime, short in (("s3", "smooth"), ("s7", "switching")):
         smc, asmc, star = (f"{law}-{regime}" for law in ("smc", "asmc", "smc-star"))
-        words = {"short": short, "meaning": paper.terms[short]}
+        told = paper.about(short=short, meaning=paper.terms[short])
 
         def saves(metric: str, window: str = "late", asmc: str = asmc, smc: str = smc) -> Pick:
             return saved(trial_mean(asmc, metric, window), trial_mean(smc, metric, window))
 
         claims += [
-            paper.claim("figure06-energy-{short}", saves("energy_J", "whole"), **words),
-            paper.claim("figure08-max-{short}", saves("following_max_um"), **words),
-            paper.claim("figure10-variance-{short}", saves("command_variance_V2"), **words),
-            paper.claim("figure09-smoother-{short}", saves("command_high_variance_V2"), **words),
-            paper.claim(
-                "figure12-star-accuracy-{short}", over(trial_mean(star), trial_mean(asmc)), **words
-            ),
-            paper.claim(
+            told.claim("figure06-energy-{short}", saves("energy_J", "whole")),
+            told.claim("figure08-max-{short}", saves("following_max_um")),
+            told.claim("figure10-variance-{short}", saves("command_variance_V2")),
+            told.claim("figure09-smoother-{short}", saves("command_high_variance_V2")),
+            told.claim("figure12-star-accuracy-{short}", over(trial_mean(star), trial_mean(asmc))),
+            told.claim(
                 "figure11-star-energy-{short}",
                 added(*(trial_mean(name, "energy_J", "whole") for name in (star, smc))),
                 published=TEXT["smc_star_energy_mWh"] / TEXT["smc_star_energy_from_mWh"] - 1,
-                **words,
             ),
         ]
     return claims
@@ -136,12 +134,10 @@ def _energy_at_the_same_accuracy(regime: str) -> Pick:
 def same_accuracy() -> list[Claim]:
     """The energy of SMC tuned to the accuracy of ASMC."""
     return [
-        paper.claim(
+        paper.about(short=short, meaning=paper.terms[short]).claim(
             "matched-energy-{short}",
             added(_energy_at_the_same_accuracy(regime), energy(f"asmc-{regime}")),
             published=TEXT["smc_star_energy_mWh"] / TABLE5["energy_asmc_mWh"] - 1,
-            short=short,
-            meaning=paper.terms[short],
         )
         for regime, short in (("s1", "smooth"), ("s7", "switching"))
     ]

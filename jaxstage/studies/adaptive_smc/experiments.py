@@ -44,7 +44,7 @@ from jaxstage.studies.adaptive_smc.loops import (
     STIFF,
     TIMING,
     WIDE,
-    Law,
+    ReachingLaw,
     Scene,
     build,
     gain_of,
@@ -135,7 +135,7 @@ def rows() -> dict[str, Case]:
     return {f"{a.name}-{b.name}": build(_shared(a), b, TIMING) for a, b in pairs}
 
 
-def _shared(law: Law) -> Law:
+def _shared(law: ReachingLaw) -> ReachingLaw:
     if law.form is not reaching.fixed:
         return law
     return law._replace(
@@ -179,7 +179,7 @@ def _with_psi_as_printed(case: Case) -> Case:
 REGIMES = ("s3", "s7")
 
 
-def _trial(law: Law, regime: str, seed: int) -> Case:
+def _trial(law: ReachingLaw, regime: str, seed: int) -> Case:
     """A run with the encoder of the paper and noise."""
     seen = Noisy(
         noise=jnp.asarray(NOISE),

@@ -17,13 +17,9 @@ from jaxstage.studies.evidence import always, applied, of, over, saved
 def surface() -> list[Claim]:
     """What the nonlinear surface is said to do."""
     savings = [
-        paper.claim(
+        paper.about(regime=regime, slope=slope, short=short, meaning=paper.terms[short]).claim(
             "surface-energy-{regime}-{slope}",
             saved(energy(f"smc-{regime}"), energy(f"smc-{regime}/linear-{slope}")),
-            regime=regime,
-            slope=slope,
-            short=short,
-            meaning=paper.terms[short],
         )
         for regime, short in (("s1", "smooth"), ("s7", "switching"))
         for slope in (40, 58)

@@ -37,6 +37,7 @@ from jaxstage.references import Trifolium, constant_feed_phase, trifolium, unifo
 from jaxstage.references.trifolium import Phase, length
 from jaxstage.studies.adaptive_smc import values
 from jaxstage.studies.case import Case, Timing, Window, check_timing, scored, window
+from jaxstage.studies.law import named
 from jaxstage.studies.study import Box, NamedLoop, Spread
 
 #: one run of 20 s as published, figures from 1 s on; the substeps leave four digits
@@ -72,7 +73,7 @@ class Scene(NamedTuple):
     dead_zone: float = 1.4e-5
 
 
-class Law(NamedTuple):
+class ReachingLaw(NamedTuple):
     """A law of the paper: how its gain K behaves, and the slope of its surface in 1/s."""
 
     name: str
@@ -140,38 +141,40 @@ def _adaptive(scene: Scene) -> Any:
 
 
 LAWS = (
-    Law("smc", "sliding mode, K = 80", reaching.fixed, lambda _: values.fixed_gain()),
-    Law(
+    ReachingLaw("smc", "sliding mode, K = 80", reaching.fixed, lambda _: values.fixed_gain()),
+    ReachingLaw(
         "smc-star",
         "sliding mode, K = 80, lam = 80",
         reaching.fixed,
         lambda _: values.fixed_gain(),
         80.0,
     ),
-    Law(
+    ReachingLaw(
         "smc-star-star",
         "sliding mode, integral gain law",
         reaching.integral,
         lambda _: values.integral_gain(),
     ),
-    Law("asmc", "sliding mode, adaptive gain law", reaching.adaptive, _adaptive),
+    ReachingLaw("asmc", "sliding mode, adaptive gain law", reaching.adaptive, _adaptive),
 )
 FLOORED = LAWS[3]._replace(
     name="asmc-floored",
     summary="sliding mode, adaptive gain law kept at its floor",
     form=reaching.adaptive_floored,
 )
-STIFF = Law("smc-k120", "sliding mode, K = 120", reaching.fixed, lambda _: values.fixed_gain(120.0))
+STIFF = ReachingLaw(
+    "smc-k120", "sliding mode, K = 120", reaching.fixed, lambda _: values.fixed_gain(120.0)
+)
 
 
 def scene(name: str) -> Scene:
     """The scenario called ``name``."""
-    return next(s for s in (*SCENES, MATCHED, PRINTED, WIDE, IMPLICIT) if s.name == name)
+    return named((*SCENES, MATCHED, PRINTED, WIDE, IMPLICIT), name)
 
 
-def law(name: str) -> Law:
+def law(name: str) -> ReachingLaw:
     """The law called ``name``."""
-    return next(law for law in (*LAWS, STIFF, FLOORED) if law.name == name)
+    return named((*LAWS, STIFF, FLOORED), name)
 
 
 def _surface(memory: Any) -> Array:
@@ -189,7 +192,7 @@ def every_figure(ticks: Window, timing: Timing) -> Metric:
     return standard(_surface, extra=(between, reaching_gain(gain_of), fast), cutoff=CUTOFF)
 
 
-def build(law: Law, scene: Scene, timing: Timing) -> Case:
+def build(law: ReachingLaw, scene: Scene, timing: Timing) -> Case:
     """One law of the study in one of its scenarios. A feed in the timing means constant feed."""
     check_timing(timing)
     phase, path = _motion(scene, timing)

@@ -19,11 +19,11 @@ def table3() -> list[Claim]:
     """The cells of Table 3, and what is said about them."""
     claims = []
     for which, meaning in CELLS.items():
-        words = {"which": which, "meaning": meaning}
+        told = paper.about(which=which, meaning=meaning)
         claims += [
-            paper.claim("table3-smc-{which}", cell("smc-s1", which), **words),
-            paper.claim("table3-asmc-{which}", cell("asmc-s1", which), **words),
-            paper.claim("table3-asmc-as-k120-{which}", cell("smc-k120-s1", which), **words),
+            told.claim("table3-smc-{which}", cell("smc-s1", which)),
+            told.claim("table3-asmc-{which}", cell("asmc-s1", which)),
+            told.claim("table3-asmc-as-k120-{which}", cell("smc-k120-s1", which)),
         ]
     means = {law: TABLE3[law]["mean_x"] + TABLE3[law]["mean_y"] for law in LAWS}
     return [

@@ -56,14 +56,9 @@ def _over_axes(metric: str, top: str, bottom: str) -> Pick:
 def _arithmetic() -> list[Claim]:
     """The printed shares against the printed errors."""
     return [
-        paper.claim(
-            "arithmetic-{name}",
-            always(100 * (1 - row["fuzzy"] / row["pid"])),
-            table=table,
-            where=PUBLISHED[table]["where"],
-            name=name,
-            words=name.replace("_", " "),
-        )
+        paper.about(
+            table=table, where=PUBLISHED[table]["where"], name=name, words=name.replace("_", " ")
+        ).claim("arithmetic-{name}", always(100 * (1 - row["fuzzy"] / row["pid"])))
         for table in ("table4", "table5")
         for name, row in PUBLISHED[table].items()
         if "saved_percent" in row
@@ -95,26 +90,21 @@ def _tables() -> list[Claim]:
         for name, words in (("max", "largest error"), ("mean", "mean error"), ("rms", "RMS error")):
             pick = _saved(f"following_{name}_um", axis)
             start = "; that of x and z is the error at the start" if name == "max" else ""
-            claims.append(
-                paper.claim(
-                    "table4-{axis}-{name}", pick, axis=axis, name=name, words=words, start=start
-                )
-            )
+            told = paper.about(axis=axis, name=name, words=words, start=start)
+            claims.append(told.claim("table4-{axis}-{name}", pick))
             if f"{axis}_{name}" in TABLE4:
-                claims.append(paper.claim("table4-{axis}-{name}-size", pick, axis=axis, name=name))
+                claims.append(told.claim("table4-{axis}-{name}-size", pick))
     for name in ("max", "mean", "rms"):
         row, pick = TABLE5[f"contour_{name}"], _saved(f"contour_{name}_um")
         start = "here it is the error at the start, which no law can change" * (name == "max")
         claims += [
-            paper.claim(
-                "table5-{name}", pick, name=name, capitals=name.upper(), why=start and f"; {start}"
+            paper.about(name=name, capitals=name.upper(), why=start and f"; {start}").claim(
+                "table5-{name}", pick
             ),
-            paper.claim(
+            paper.about(name=name, why=start or "the learning rates decide").claim(
                 "table5-{name}-size",
                 pick,
                 published=row.get("saved_percent", 100 * (1 - row["fuzzy"] / row["pid"])),
-                name=name,
-                why=start or "the learning rates decide",
             ),
         ]
     return claims

@@ -35,7 +35,6 @@ from jaxstage.studies.fuzzy_ccc import values
 from jaxstage.studies.fuzzy_ccc.loops import (
     SPREADS,
     TIMING,
-    Law,
     build,
     coupling,
     law,
@@ -49,6 +48,7 @@ from jaxstage.studies.fuzzy_ccc.variants import (
     of_pid,
     scalar_forms,
 )
+from jaxstage.studies.law import StudyLaw
 from jaxstage.studies.machines import other_machine
 
 #: machines drawn for the parameter uncertainty
@@ -118,7 +118,7 @@ def couplings() -> Evidence:
 
 def axis_laws() -> Evidence:
     """The PD law without observer, and with the one of the sliding mode."""
-    watched = Law(
+    watched = StudyLaw(
         "pd-observed",
         "PD with observer",
         plus(per_axis(pd), per_axis(disturbance_observer)),
@@ -130,7 +130,7 @@ def axis_laws() -> Evidence:
 def switched(name: str, contour_law: Controller | None, gains: Any, timing: Timing) -> Case:
     """A law whose axes switch by the sign in place of a boundary layer, however far it strays."""
     controller = coupling(contour_law, exact) if contour_law else observing(exact)
-    case = build(Law(name, "", controller, lambda axis: gains), name, timing)
+    case = build(StudyLaw(name, "", controller, lambda axis: gains), name, timing)
     return case._replace(loop=replace(case.loop, path_limit=np.inf))
 
 

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ from jaxstage.plants import pmlsm_stage
 from jaxstage.references import Helix, helical
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
 from jaxstage.studies.fuzzy_ccc import values
+from jaxstage.studies.law import StudyLaw, named
 from jaxstage.studies.study import Box, NamedLoop, Spread, no_notes
 
 #: two turns in 10 s, judged as a whole as the paper does; the period is chosen
@@ -73,20 +74,6 @@ BOXES = (
 )
 
 
-class Law(NamedTuple):
-    """A controller of this study. gains(nominal) makes its gains; observed picks sliding mode and
-    observer out of them; surface and schedule pick the sliding variable and the contour gains out
-    of its memory. None where it has no such thing."""
-
-    name: str
-    summary: str
-    controller: Controller
-    gains: Callable[[Any], Any]
-    observed: Callable[[Any], Any] | None = None
-    surface: Callable[[Any], Array] | None = None
-    schedule: Callable[[Any], tuple[Array, Array, Array]] | None = None
-
-
 def observing(switch: Switch = smooth) -> Controller:
     """Sliding mode on each axis with the observer beside it."""
     return plus(per_axis(sliding(switch)), per_axis(disturbance_observer))
@@ -107,8 +94,8 @@ def coupling_gains(contour: Any, axis: Any) -> Any:
     return values.coupled(observing_gains(axis), contour, axis)
 
 
-def _bare(tree: Any) -> Any:
-    return tree
+def _fuzzy_gains(adapting: bool, axis: Any) -> Any:
+    return coupling_gains(values.fuzzy_gains(adapting), axis)
 
 
 def _inner(tree: Any) -> Any:
@@ -129,47 +116,49 @@ def _schedule(memory: Any) -> tuple[Array, Array, Array]:
 
 
 LAWS = (
-    Law(
-        "none",
-        "sliding mode with observer, no coupling",
-        observing(),
-        observing_gains,
-        _bare,
-        _bare_surface,
+    StudyLaw(
+        name="none",
+        summary="sliding mode with observer, no coupling",
+        controller=observing(),
+        gains=observing_gains,
+        surface=_bare_surface,
+        observed=lambda gains: gains,
     ),
-    Law(
-        "pid-ccc",
-        "the same with PID cross-coupling",
-        coupling(pid_contour()),
-        lambda axis: coupling_gains(values.pid_gains(), axis),
-        _inner,
-        _surface,
+    StudyLaw(
+        name="pid-ccc",
+        summary="the same with PID cross-coupling",
+        controller=coupling(pid_contour()),
+        gains=lambda axis: coupling_gains(values.pid_gains(), axis),
+        surface=_surface,
+        observed=_inner,
     ),
-    Law(
-        "fuzzy-frozen",
-        "the same, gains by fuzzy rules that do not learn",
-        coupling(fuzzy_pid_contour()),
-        lambda axis: coupling_gains(values.fuzzy_gains(adapting=False), axis),
-        _inner,
-        _surface,
-        _schedule,
+    *(
+        StudyLaw(
+            name=name,
+            summary=summary,
+            controller=coupling(fuzzy_pid_contour()),
+            gains=functools.partial(_fuzzy_gains, adapting),
+            surface=_surface,
+            schedule=_schedule,
+            observed=_inner,
+        )
+        for name, summary, adapting in (
+            ("fuzzy-frozen", "the same, gains by fuzzy rules that do not learn", False),
+            ("af-pid-ccc", "the same, adaptive fuzzy PID cross-coupling", True),
+        )
     ),
-    Law(
-        "af-pid-ccc",
-        "the same, adaptive fuzzy PID cross-coupling",
-        coupling(fuzzy_pid_contour()),
-        lambda axis: coupling_gains(values.fuzzy_gains(), axis),
-        _inner,
-        _surface,
-        _schedule,
+    StudyLaw(
+        name="pd",
+        summary="PD with acceleration feed-forward, no observer",
+        controller=per_axis(pd),
+        gains=values.pd_gains,
     ),
-    Law("pd", "PD with acceleration feed-forward, no observer", per_axis(pd), values.pd_gains),
 )
 
 
-def law(name: str) -> Law:
+def law(name: str) -> StudyLaw:
     """The law called ``name``."""
-    return next(law for law in LAWS if law.name == name)
+    return named(LAWS, name)
 
 
 def _path(timing: Timing) -> Helix:
@@ -185,7 +174,7 @@ def _path(timing: Timing) -> Helix:
     )
 
 
-def build(law: Law, name: str, timing: Timing) -> Case:
+def build(law: StudyLaw, name: str, timing: Timing) -> Case:
     """One law of the study on its helix; a lap is two turns."""
     check_timing(timing)
     path = _path(timing)

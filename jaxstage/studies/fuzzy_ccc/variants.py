@@ -12,7 +12,8 @@ from jaxstage.controllers.parts.contour_error import Rounding
 from jaxstage.model.fields import replace
 from jaxstage.studies.case import Case
 from jaxstage.studies.fuzzy_ccc import values
-from jaxstage.studies.fuzzy_ccc.loops import TIMING, Law, build, coupling, coupling_gains, law
+from jaxstage.studies.fuzzy_ccc.loops import TIMING, build, coupling, coupling_gains, law
+from jaxstage.studies.law import StudyLaw
 
 #: learning rates tried, as multiples of the study's
 RATES = (0.25, 0.5, 2.0, 4.0, 8.0)
@@ -95,7 +96,7 @@ def scalar_forms() -> dict[str, Case]:
     }
     rounding = Rounding(rounding=values.fuzzy_gains().rounding)
     laws = [
-        Law(
+        StudyLaw(
             f"{name}/scalar",
             "",
             coupling(contour),

@@ -20,7 +20,7 @@ def _structure() -> list[Claim]:
         paper.claim("table1-star", always(float(PUBLISHED["table1"]["star_weights"]))),
         paper.claim("equation28", always(unknown), bound=at_most(eta), published=eta),
         paper.unchecked("equation2"),
-        paper.unchecked("section33-width", norm=_norm()),
+        paper.about(norm=_norm()).unchecked("section33-width"),
     ]
 
 
@@ -44,19 +44,19 @@ def _contours() -> list[Claim]:
     )
     return [
         *(
-            paper.claim(
-                "figure{number}-path", cell("dfcmac", "contour_max", c), number=number, contour=c
+            paper.about(number=number, contour=c).claim(
+                "figure{number}-path", cell("dfcmac", "contour_max", c)
             )
             for number, c in enumerate(CONTOURS, 7)
         ),
         *(
-            paper.claim(
-                "figure{number}-settles", _settling(c), number=number, contour=c, words=words
+            paper.about(number=number, contour=c, words=words).claim(
+                "figure{number}-settles", _settling(c)
             )
             for number, c, words in settling
         ),
         *(
-            paper.unchecked("figure{number}", number=number + 4, contour=c)
+            paper.about(number=number + 4, contour=c).unchecked("figure{number}")
             for number, c in enumerate(CONTOURS, 7)
         ),
     ]

@@ -7,8 +7,7 @@ Lengths of the paper's controller are centimetres; here they are metres: r1 = 0.
 """
 
 import functools
-from collections.abc import Callable
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -35,12 +34,13 @@ from jaxstage.hardware.drives import ideal_drive
 from jaxstage.hardware.loads import no_load
 from jaxstage.hardware.sensors import ideal_sensor
 from jaxstage.metrics import standard
-from jaxstage.model.blocks import Controller, Loop
+from jaxstage.model.blocks import Loop
 from jaxstage.model.signals import Scenario, Start
 from jaxstage.plants import PmsmTable, pmsm_table
 from jaxstage.references import bowknot, circle, heart, make_path, sampled, star
 from jaxstage.references.timing import constant_feed, uniform_parameter
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
+from jaxstage.studies.law import StudyLaw, named
 from jaxstage.studies.study import Box, NamedLoop, Spread
 
 #: following error beyond which a run counts as lost; the contours are about 60 mm wide (chosen)
@@ -190,34 +190,26 @@ def _surface(memory: Any) -> Array:
     return memory.surface
 
 
-class Law(NamedTuple):
-    """A controller of this study with its gains."""
-
-    name: str
-    summary: str
-    controller: Controller
-    gains: Callable[[], Any]
-    surface: Callable[[Any], Array] | None
-
-
 LAWS = (
-    Law("sliding", "ideal sliding mode, model known", sliding(), sliding_gains, _surface),
-    Law("cmac", "conventional CMAC sliding mode", cmac_sliding(crisp), cmac_gains, _surface),
-    Law("dfcmac", "direct fuzzy CMAC sliding mode", cmac_sliding(gaussian), dfcmac_gains, _surface),
-    Law("pi", "PI law equal to the CMAC in one cell", pi, pi_gains, _surface),
-    Law("cascade", "P position / PI velocity cascade", cascade, cascade_gains, None),
+    StudyLaw("sliding", "ideal sliding mode, model known", sliding(), sliding_gains, _surface),
+    StudyLaw("cmac", "conventional CMAC sliding mode", cmac_sliding(crisp), cmac_gains, _surface),
+    StudyLaw(
+        "dfcmac", "direct fuzzy CMAC sliding mode", cmac_sliding(gaussian), dfcmac_gains, _surface
+    ),
+    StudyLaw("pi", "PI law equal to the CMAC in one cell", pi, pi_gains, _surface),
+    StudyLaw("cascade", "P position / PI velocity cascade", cascade, cascade_gains),
 )
 
 
-def law(name: str) -> Law:
+def law(name: str) -> StudyLaw:
     """The law called ``name``."""
-    return next(law for law in LAWS if law.name == name)
+    return named(LAWS, name)
 
 
 CONTOURS = {"circle": circle, "bowknot": bowknot, "heart": heart, "star": star}
 
 
-def build(law: Law, contour: str, timing: Timing) -> Case:
+def build(law: StudyLaw, contour: str, timing: Timing) -> Case:
     """One law of the study on one of its contours."""
     check_timing(timing)
     motion = (

@@ -67,7 +67,9 @@ def _cells() -> list[tuple[dict[str, str], Pick]]:
 def _table2() -> list[Claim]:
     credit = {"cmac": f"; {paper.terms['credit']}", "dfcmac": ""}
     return [
-        paper.claim("table2-{metric}-{law}-{column}", pick, **words, reading=credit[words["law"]])
+        paper.about(**words, reading=credit[words["law"]]).claim(
+            "table2-{metric}-{law}-{column}", pick
+        )
         for words, pick in _cells()
     ]
 
@@ -75,15 +77,12 @@ def _table2() -> list[Claim]:
 def _averages(number: int, step: float) -> list[Claim]:
     """The printed averages against the printed cells."""
     return [
-        paper.claim(
+        paper.about(
+            number=number, metric=metric, law=law, name=name, capitals=metric.upper()
+        ).claim(
             "table{number}-arithmetic-{metric}-{law}",
             always(mean(PUBLISHED[f"table{number}"][f"{metric}_{law}"][c] for c in CONTOURS)),
             bound=printed(step),
-            number=number,
-            metric=metric,
-            law=law,
-            name=name,
-            capitals=metric.upper(),
         )
         for metric in METRICS
         for law, name in LAWS.items()
@@ -108,21 +107,19 @@ def pattern(evidence: Evidence) -> float | None:
 def _comparison() -> list[Claim]:
     claims = []
     for metric in METRICS:
-        words = {"metric": metric, "capitals": metric.upper()}
+        told = paper.about(metric=metric, capitals=metric.upper())
         fuzzy, plain = TABLE2[f"{metric}_dfcmac"], TABLE2[f"{metric}_cmac"]
         ratios = [over(cell("dfcmac", metric, c), cell("cmac", metric, c)) for c in CONTOURS]
         claims += [
-            paper.claim(
+            told.claim(
                 "table2-{metric}-better",
                 largest_of(ratios),
                 published=max(fuzzy[c] / plain[c] for c in CONTOURS),
-                **words,
             ),
-            paper.claim(
+            told.claim(
                 "table2-{metric}-reduction",
                 saved(average("dfcmac", metric), average("cmac", metric)),
                 published=1 - fuzzy["average"] / plain["average"],
-                **words,
             ),
         ]
     half = 0.5 * (1 - TABLE2["ate_dfcmac"]["average"] / TABLE2["ate_cmac"]["average"])
@@ -144,16 +141,14 @@ def _comparison() -> list[Claim]:
 
 def _table3() -> list[Claim]:
     cells = [
-        paper.unchecked("table3-{metric}-{law}-{column}", **words)
+        paper.about(**words).unchecked("table3-{metric}-{law}-{column}")
         for words, _ in _cells()
         if words["column"] != "average"
     ]
     improvements = [
-        paper.claim(
+        paper.about(metric=metric, capitals=metric.upper()).claim(
             "table3-{metric}-improvement",
             always(1 - TABLE3[f"{metric}_dfcmac"]["average"] / TABLE3[f"{metric}_cmac"]["average"]),
-            metric=metric,
-            capitals=metric.upper(),
         )
         for metric in METRICS
     ]

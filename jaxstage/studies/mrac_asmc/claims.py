@@ -26,7 +26,7 @@ def _steps() -> list[Claim]:
     times = PUBLISHED["figure10"]["peak_times_s"]
     return [
         *(
-            paper.unchecked("step-{number}", published=time, number=number, eps=0.25e3 / time)
+            paper.about(number=number, eps=0.25e3 / time).unchecked("step-{number}", published=time)
             for number, time in enumerate(times, 1)
         ),
         paper.claim("step-order", neighbours(steps, "arrived_s", max)),
@@ -47,22 +47,19 @@ def _variances() -> list[Claim]:
     ]
     for suffix, side in (("", "load"), ("-motor", "motor")):
         smc500_mrac, asmc = f"smc500-mrac-r{suffix}", f"asmc-mrac-caps-r{suffix}"
+        told = paper.about(side=side)
         claims += [
-            paper.claim(
+            told.claim(
                 "order-mrac-{side}",
                 over(smc500_mrac, f"smc1500-r{suffix}", variance),
                 published=table["smc_mrac"] / table["smc"],
-                side=side,
             ),
-            paper.claim(
+            told.claim(
                 "order-asmc-{side}",
                 over(asmc, smc500_mrac, variance),
                 published=table["asmc_mrac"] / table["smc_mrac"],
-                side=side,
             ),
-            paper.claim(
-                "cause-mrac-{side}", over(smc500_mrac, f"smc500-r{suffix}", variance), side=side
-            ),
+            told.claim("cause-mrac-{side}", over(smc500_mrac, f"smc500-r{suffix}", variance)),
         ]
     return claims
 
@@ -93,10 +90,10 @@ def _feedforward() -> list[Claim]:
         words, metric = {"key": key, "text": text}, f"{part}_peak_um"
         printed = always(1 - table[f"{key}_asmc_um"] / table[f"{key}_pid_um"])
         claims += [
-            paper.claim("{key}-pid", of(pid, metric), **words),
-            paper.claim("{key}-asmc", of(asmc, metric), **words),
-            paper.claim("{key}-reduction", saved(asmc, pid, metric), **words),
-            paper.claim("{key}-arithmetic", printed, **words),
+            told.claim("{key}-pid", of(pid, metric)),
+            told.claim("{key}-asmc", of(asmc, metric)),
+            told.claim("{key}-reduction", saved(asmc, pid, metric)),
+            told.claim("{key}-arithmetic", printed),
         ]
     return [
         *claims,
@@ -114,13 +111,8 @@ def _spectra() -> list[Claim]:
     chattering = "chattering_um"
     return [
         *(
-            paper.claim(
-                "spectrum-{band}",
-                over(asmc, pid, f"level_{band}_Hz_um"),
-                bound=sides[side],
-                band=band,
-                side=side,
-                words=band.replace("_", " to "),
+            paper.about(band=band, side=side, words=band.replace("_", " to ")).claim(
+                "spectrum-{band}", over(asmc, pid, f"level_{band}_Hz_um"), bound=sides[side]
             )
             for band, side in bands
         ),

@@ -21,8 +21,9 @@ from jaxstage.references import analytic
 from jaxstage.studies.case import Case, window
 from jaxstage.studies.evidence import Evidence
 from jaxstage.studies.experiment import simulate_all, stored
+from jaxstage.studies.law import StudyLaw
 from jaxstage.studies.mrac_asmc import values
-from jaxstage.studies.mrac_asmc.loops import TIMING, Law, law, make_loop, version
+from jaxstage.studies.mrac_asmc.loops import TIMING, law, make_loop, version
 
 AXES = ("x", "y")
 #: radius in m and time of a lap in s; figures cover the last of 1.25 laps (all chosen)
@@ -59,7 +60,7 @@ def _each_axis(tree: Any) -> Any:
     return jax.tree.map(lambda x: jnp.repeat(x, len(AXES)) if jnp.ndim(x) else jnp.asarray(x), tree)
 
 
-def circled(law: Law) -> Case:
+def circled(law: StudyLaw) -> Case:
     """Two drives with friction on the load, ideally measured at the motors, moving at the start."""
     drives = version("")
     loop = replace(

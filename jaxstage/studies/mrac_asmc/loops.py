@@ -39,6 +39,7 @@ from jaxstage.plants import on_load, on_motor, two_inertia
 from jaxstage.plants.two_inertia import Side
 from jaxstage.references import swing, swinging
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
+from jaxstage.studies.law import StudyLaw, named
 from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.study import Box, NamedLoop, Recorded, Spread
 
@@ -88,17 +89,6 @@ BOXES = (
 )
 
 
-class Law(NamedTuple):
-    """A controller of this study, its gains, and what of its memory is shown."""
-
-    name: str
-    summary: str
-    controller: Controller
-    gains: Callable[[], Any]
-    surface: Callable[[Any], Array] | None
-    adapting: Callable[[Any, float], tuple[Array, Array, Array, Array]] | None
-
-
 def _surface(memory: Any) -> Array:
     return memory.surface
 
@@ -116,55 +106,49 @@ def _inner_adapting(memory: Any, dt: float) -> tuple[Array, Array, Array, Array]
     return _adapting(memory.law, dt)
 
 
-def _within_mrac(name: str, summary: str, gains: Callable[[], Any]) -> Law:
-    return Law(
-        name,
-        f"{summary}, MRAC inner loop",
-        model_reference(adaptive_sliding()),
-        lambda: values.inner(gains()),
-        _inner_surface,
-        _inner_adapting,
-    )
+def _law(
+    name: str,
+    summary: str,
+    controller: Controller,
+    gains: Callable[[], Any],
+    shown: tuple[Any, Any] = (_surface, None),
+) -> StudyLaw:
+    """shown: picks the sliding variable, and what adapts, out of the memory."""
+    return StudyLaw(name, summary, controller, gains, surface=shown[0], adapting=shown[1])
 
+
+_ADAPTIVE = (_surface, _adapting)
+_INNER = (_inner_surface, _inner_adapting)
+_MRAC = model_reference(adaptive_sliding())
 
 LAWS = (
-    Law(
-        "sim1",
-        "adaptive sliding mode, fixed slope",
-        adaptive_sliding(),
-        values.sim1,
-        _surface,
-        _adapting,
+    _law("sim1", "adaptive sliding mode, fixed slope", adaptive_sliding(), values.sim1, _ADAPTIVE),
+    _law(
+        "sim2", "adaptive sliding mode, adaptive slope", adaptive_sliding(), values.sim2, _ADAPTIVE
     ),
-    Law(
-        "sim2",
-        "adaptive sliding mode, adaptive slope",
-        adaptive_sliding(),
-        values.sim2,
-        _surface,
-        _adapting,
-    ),
-    Law(
-        "smc1500",
-        "sliding mode, eps = 1500",
-        sliding(),
-        lambda: values.sliding_mode(1500),
-        _surface,
-        None,
-    ),
-    Law(
+    _law("smc1500", "sliding mode, eps = 1500", sliding(), lambda: values.sliding_mode(1500)),
+    _law(
         "smc500-mrac",
         "sliding mode, eps = 500, MRAC inner loop",
         model_reference(sliding()),
         lambda: values.inner(values.sliding_mode(500)),
-        _inner_surface,
-        None,
+        (_inner_surface, None),
     ),
-    _within_mrac("asmc-mrac", "adaptive sliding mode", values.asmc),
-    _within_mrac(
-        "asmc-mrac-caps", "adaptive sliding mode with caps", functools.partial(values.asmc, True)
+    _law(
+        "asmc-mrac",
+        "adaptive sliding mode, MRAC inner loop",
+        _MRAC,
+        lambda: values.inner(values.asmc()),
+        _INNER,
     ),
-    Law("cascade", "PID with rate feed-forward", cascade, values.cascade_gains, None, None),
+    _law(
+        "asmc-mrac-caps",
+        "adaptive sliding mode with caps, MRAC inner loop",
+        _MRAC,
+        lambda: values.inner(values.asmc(True)),
+        _INNER,
+    ),
+    _law("cascade", "PID with rate feed-forward", cascade, values.cascade_gains, (None, None)),
 )
 
 
@@ -185,9 +169,9 @@ VERSIONS = (
 )
 
 
-def law(name: str) -> Law:
+def law(name: str) -> StudyLaw:
     """The law called ``name``."""
-    return next(law for law in LAWS if law.name == name)
+    return named(LAWS, name)
 
 
 def version(suffix: str) -> Version:
@@ -211,7 +195,7 @@ def make_loop(controller: Controller, version: Version, metric: Metric, timing: 
     )
 
 
-def build(law: Law, version: Version, timing: Timing) -> Case:
+def build(law: StudyLaw, version: Version, timing: Timing) -> Case:
     """One law of the study on one version of the drive."""
     check_timing(timing)
     ticks = window(timing, round(timing.lap_time / timing.dt))
