@@ -13,7 +13,9 @@ from jaxstage.studies.adaptive_smc.reading import (
     TABLE5,
 )
 from jaxstage.studies.evidence import Evidence
-from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot
+from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot, bars, over_time, paper_plots
+
+paper = paper_plots("adaptive-smc")
 
 NAMES = {"smc": "SMC", "asmc": "ASMC", "smc-star": "SMC*", "smc-star-star": "SMC**"}
 MEANING = {"s3": "smooth (fitted friction)", "s7": "switching (0.01 m/s²)"}
@@ -54,11 +56,10 @@ def _both_axes(
     evidence: Evidence, runs: dict[str, str], title: str, signal: _Signal, begin: float = 0.0
 ) -> list[Chart]:
     return [
-        Chart(
-            title=f"{title}, axis {axis + 1}",
-            x="time in s",
-            y=signal.label,
-            lines=_signals(evidence, runs, signal.name, axis, signal.scale, (begin, np.inf)),
+        over_time(
+            f"{title}, axis {axis + 1}",
+            signal.label,
+            _signals(evidence, runs, signal.name, axis, signal.scale, (begin, np.inf)),
         )
         for axis in (0, 1)
     ]
@@ -72,12 +73,12 @@ def _difference(
     for axis in (0, 1):
         first, *others = _signals(evidence, runs, signal.name, axis, signal.scale, (begin, np.inf))
         lines += [Line(f"{o.label}, axis {axis + 1}", o.x, o.y - first.y) for o in others]
-    return Chart(title=f"{title}, less {base}", x="time in s", y=signal.label, lines=tuple(lines))
+    return over_time(f"{title}, less {base}", signal.label, lines)
 
 
 def _close(evidence: Evidence, runs: dict[str, str], title: str, signal: _Signal) -> Chart:
     lines = _signals(evidence, runs, signal.name, 0, signal.scale, CLOSE)
-    return Chart(title=f"{title}, axis 1, close up", x="time in s", y=signal.label, lines=lines)
+    return over_time(f"{title}, axis 1, close up", signal.label, lines)
 
 
 def _step(evidence: Evidence) -> tuple[Chart, ...]:
@@ -100,19 +101,13 @@ def _figure5(evidence: Evidence) -> tuple[Chart, ...]:
     collapse = {"ASMC": "asmc-s7"}
     return (
         *(
-            Chart(
-                title=f"axis {axis + 1}",
-                x="time in s",
-                y="gain K in 1/s",
-                lines=_signals(evidence, runs, "gain", axis),
-            )
+            over_time(f"axis {axis + 1}", "gain K in 1/s", _signals(evidence, runs, "gain", axis))
             for axis in (0, 1)
         ),
-        Chart(
-            title="axis 1, where switching dominates",
-            x="time in s",
-            y="gain K in 1/s",
-            lines=_signals(evidence, collapse, "gain", 0),
+        over_time(
+            "axis 1, where switching dominates",
+            "gain K in 1/s",
+            _signals(evidence, collapse, "gain", 0),
         ),
     )
 
@@ -136,7 +131,7 @@ def _bars(
                 for a, values in found.items()
             )
             title = MEANING[regime] + (f", {AXES[axis]}" if axis else "")
-            charts.append(Chart(title=title, x="", y=unit, lines=lines, bars=True))
+            charts.append(bars(title, unit, lines))
     return tuple(charts)
 
 
@@ -194,7 +189,7 @@ def _table3(evidence: Evidence) -> tuple[Chart, ...]:
         Line("ASMC, here", cells, ours("asmc-s1")),
         Line("K = 120, here", cells, ours("smc-k120-s1")),
     )
-    return (Chart(title="following error", x="", y="µm", lines=lines, bars=True, log_y=True),)
+    return (bars("following error", "µm", lines, log_y=True),)
 
 
 def _table5(evidence: Evidence) -> tuple[Chart, ...]:
@@ -208,100 +203,43 @@ def _table5(evidence: Evidence) -> tuple[Chart, ...]:
             for name in ("smc", "asmc")
         ]
         lines.append(Line(MEANING[regime], ("SMC", "ASMC"), drawn))
-    return (Chart(title="energy", x="", y="mWh", lines=tuple(lines), bars=True),)
+    return (bars("energy", "mWh", lines),)
 
 
 BOTH, STAR = ("smc", "asmc"), ("smc-star", "asmc")
 
 
-def _chart(name: str, title: str, text: str, charts: Any) -> ChartPlot:
-    return ChartPlot(name=name, title=title, text=text, charts=charts)
-
-
 plots: tuple[ChartPlot | RunPlot, ...] = (
-    _chart(
-        "figure01-step",
-        "Figure 1: step response",
-        "Nonlinear damping rises from low to high on the way.",
-        _step,
-    ),
+    paper.chart("figure01-step", _step),
     RunPlot(
         name="figure02-trifolium",
         text="Figure 2: the trajectory, with the error of ASMC",
         case=partial(build, law("asmc"), scene("s1"), TIMING),
         views=("contour", "error"),
     ),
-    _chart(
-        "figure04-tracking",
-        "Figure 4: following error",
-        "Friction is fitted to the SMC row of Table 3. The run starts at rest.",
-        _figure4,
-    ),
-    _chart(
-        "figure05-gain",
-        "Figure 5: adaptive gain",
-        "The integral law stays at its limit. The adaptive gain settles near d / (J ε), and "
-        "collapses where the switching does the work.",
-        _figure5,
-    ),
-    _chart(
+    paper.chart("figure04-tracking", _figure4),
+    paper.chart("figure05-gain", _figure5),
+    paper.chart(
         "figure06-energy",
-        "Figure 6: energy",
-        "Five trials with noise.",
         partial(_bars, laws=BOTH, window="whole", figure="energy_J", unit="mWh", scale=1 / 3.6),
     ),
-    _chart(
-        "figure07-tracking",
-        "Figure 7: following error",
-        "First trial.",
-        partial(_trials, BOTH, ERROR),
-    ),
-    _chart(
+    paper.chart("figure07-tracking", partial(_trials, BOTH, ERROR)),
+    paper.chart(
         "figure08-max",
-        "Figure 8: largest following error",
-        "Five trials with noise.",
         partial(_bars, laws=BOTH, window="late", figure="following_max_um", unit="µm"),
     ),
-    _chart(
-        "figure09-command", "Figure 9: command", "First trial.", partial(_trials, BOTH, COMMAND)
-    ),
-    _chart(
+    paper.chart("figure09-command", partial(_trials, BOTH, COMMAND)),
+    paper.chart(
         "figure10-variance",
-        "Figure 10: variance of the command",
-        "Five trials with noise.",
         partial(_bars, laws=BOTH, window="late", figure="command_variance_V2", unit="V²"),
     ),
-    _chart(
+    paper.chart(
         "figure11-star-energy",
-        "Figure 11: energy of SMC*",
-        "SMC* has λ = 80 1/s. Five trials.",
         partial(_bars, laws=STAR, window="whole", figure="energy_J", unit="mWh", scale=1 / 3.6),
     ),
-    _chart(
-        "figure12-star-tracking",
-        "Figure 12: following error with SMC*",
-        "First trial.",
-        partial(_trials, ("smc", "smc-star", "asmc"), ERROR),
-    ),
-    _chart(
-        "figure13-star-command",
-        "Figure 13: command with SMC*",
-        "First trial.",
-        partial(_trials, STAR, COMMAND),
-    ),
-    _chart(
-        "table3",
-        "Table 3: simulated errors",
-        "The SMC row is fitted. A fixed gain of 120 1/s predicts the ASMC row.",
-        _table3,
-    ),
-    _chart(
-        "table5-energy", "Table 5: energy", "Mean of five trials, beside the printed one.", _table5
-    ),
-    _chart(
-        "matched-accuracy",
-        "Energy at the same accuracy",
-        "SMC with its slope raised to the mean error of ASMC.",
-        _matched,
-    ),
+    paper.chart("figure12-star-tracking", partial(_trials, ("smc", "smc-star", "asmc"), ERROR)),
+    paper.chart("figure13-star-command", partial(_trials, STAR, COMMAND)),
+    paper.chart("table3", _table3),
+    paper.chart("table5-energy", _table5),
+    paper.chart("matched-accuracy", _matched),
 )

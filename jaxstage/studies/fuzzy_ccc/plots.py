@@ -21,7 +21,18 @@ from jaxstage.studies.fuzzy_ccc import values
 from jaxstage.studies.fuzzy_ccc.claims import BLIND, OBSERVED, TABLE4, TABLE5
 from jaxstage.studies.fuzzy_ccc.loops import TIMING, build, law
 from jaxstage.studies.fuzzy_ccc.variants import LEAK, MASS_ERROR, PROPORTIONAL, RATES
-from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot
+from jaxstage.studies.plots import (
+    Chart,
+    ChartPlot,
+    Line,
+    RunPlot,
+    bars,
+    of_cases,
+    over_time,
+    paper_plots,
+)
+
+paper = paper_plots("fuzzy-ccc", mass_error=", ".join(map(str, MASS_ERROR)))
 
 AXES = ("x", "y", "z")
 
@@ -88,11 +99,10 @@ def _control(case: str, evidence: Evidence) -> tuple[Chart, ...]:
     varied = figures["command_variation_A_per_s"]
     parts = {": total variation {:.3g} A/s": slice(None), ", closer": close}
     return tuple(
-        Chart(
-            title=axis + what.format(varied[axis]),
-            x="time in s",
-            y="current in A",
-            lines=(Line(axis, time[part], current[part, i]),),
+        over_time(
+            axis + what.format(varied[axis]),
+            "current in A",
+            (Line(axis, time[part], current[part, i]),),
         )
         for what, part in parts.items()
         for i, axis in enumerate(AXES)
@@ -103,11 +113,10 @@ def _disturbance(evidence: Evidence) -> tuple[Chart, ...]:
     signals, mass = evidence[f"{OBSERVED}/signals"], np.asarray(values.plant().mass)
     time, true, estimate = signals["time_s"], signals["load_N"] / mass, signals["estimate_m_per_s2"]
     return tuple(
-        Chart(
-            title=axis,
-            x="time in s",
-            y="acceleration in m/s2",
-            lines=(
+        over_time(
+            axis,
+            "acceleration in m/s2",
+            (
                 Line("disturbance", time, true[:, i]),
                 Line("its estimate", time, estimate[:, i]),
                 Line(f"their difference × {TIMES}", time, TIMES * (true - estimate)[:, i]),
@@ -128,14 +137,12 @@ def _errors(evidence: Evidence) -> tuple[Chart, ...]:
         for label, name in laws.items()
     )
     return (
-        Chart(
-            title="RMS following error",
-            x="",
-            y="µm",
-            lines=lines,
-            bars=True,
-            log_y=True,
+        bars(
+            "RMS following error",
+            "µm",
+            lines,
             text="PD with the same observer ties with sliding mode: the observer does the work",
+            log_y=True,
         ),
     )
 
@@ -146,12 +153,7 @@ def _saving(row: dict[str, float]) -> float:
 
 def _savings(evidence: Evidence) -> tuple[Chart, ...]:
     fuzzy, pid = evidence["af-pid-ccc"], evidence["pid-ccc"]
-    names = ("MAX", "MEAN", "RMS")
-    keys = ("max", "mean", "rms")
-    printed = {
-        "following error of y (Table 4)": [_saving(TABLE4[f"y_{k}"]) for k in keys],
-        "contour error (Table 5)": [_saving(TABLE5[f"contour_{k}"]) for k in keys],
-    }
+    names, keys = ("MAX", "MEAN", "RMS"), ("max", "mean", "rms")
     ours = {
         "following error of y (Table 4)": [
             100 * (1 - fuzzy[f"following_{k}_um"]["y"] / pid[f"following_{k}_um"]["y"])
@@ -161,16 +163,25 @@ def _savings(evidence: Evidence) -> tuple[Chart, ...]:
             100 * (1 - fuzzy[f"contour_{k}_um"] / pid[f"contour_{k}_um"]) for k in keys
         ],
     }
-    return tuple(
-        Chart(
-            title=title,
-            x="",
-            y="saved by adaptive fuzzy coupling in %",
-            bars=True,
-            lines=(Line("published", names, printed[title]), Line("here", names, ours[title])),
-        )
-        for title in printed
+    printed = (
+        [_saving(TABLE4[f"y_{k}"]) for k in keys],
+        [_saving(TABLE5[f"contour_{k}"]) for k in keys],
     )
+    return tuple(
+        bars(
+            title,
+            "saved by adaptive fuzzy coupling in %",
+            [Line("published", names, published), Line("here", names, here)],
+        )
+        for (title, here), published in zip(ours.items(), printed, strict=True)
+    )
+
+
+def _rms(evidence: Evidence, cases: dict[str, str], label: str = "RMS") -> Line:
+    return of_cases(label, evidence, "contour_rms_um", cases)
+
+
+RATE_CASES = {f"× {factor:g}": f"af-pid-ccc/rates-{factor:g}" for factor in RATES}
 
 
 def _causes(evidence: Evidence) -> tuple[Chart, ...]:
@@ -179,83 +190,44 @@ def _causes(evidence: Evidence) -> tuple[Chart, ...]:
         "PID": "pid-ccc",
         "frozen": "fuzzy-frozen",
         "adaptive": "af-pid-ccc",
-        **{f"× {factor:g}": f"af-pid-ccc/rates-{factor:g}" for factor in RATES},
+        **RATE_CASES,
         "mean": "pid-ccc/mean-gains",
     }
-    rms = [evidence[name]["contour_rms_um"] for name in cases.values()]
-    return (
-        Chart(
-            title="contour error RMS",
-            x="",
-            y="µm",
-            bars=True,
-            lines=(Line("RMS", tuple(cases), rms),),
-            text="frozen: rules that do not learn; ×: learning rates; mean: PID with "
-            "constant gains at the mean of the adapted ones",
-        ),
+    text = (
+        "frozen: rules that do not learn; ×: learning rates; mean: PID with constant gains at the "
+        "mean of the adapted ones"
     )
+    return (bars("contour error RMS", "µm", [_rms(evidence, cases)], text),)
 
 
 def _variants(evidence: Evidence) -> tuple[Chart, ...]:
-    def bars(
-        title: str, *lines: tuple[str, dict[str, str]], text: str = "", log: bool = False
-    ) -> Chart:
-        drawn = tuple(
-            Line(label, tuple(cases), [evidence[case]["contour_rms_um"] for case in cases.values()])
-            for label, cases in lines
+    laws = {"no coupling": "none", "PID": "pid-ccc", "adaptive fuzzy PID": "af-pid-ccc"}
+    starts = [
+        _rms(
+            evidence,
+            {"as it is": law, "wrong masses": f"{law}/mass", "from rest": f"{law}/rest"},
+            label,
         )
-        return Chart(title=title, x="", y="µm", bars=True, log_y=log, lines=drawn, text=text)
-
-    def starts(name: str) -> dict[str, str]:
-        return {"as it is": name, "wrong masses": f"{name}/mass", "from rest": f"{name}/rest"}
-
+        for label, law in laws.items()
+    ]
+    forms = {
+        "none": "none",
+        "no observer": "none/blind",
+        "PID": "pid-ccc",
+        "PID, scalar": "pid-ccc/scalar",
+        "fuzzy": "af-pid-ccc",
+        "fuzzy, scalar": "af-pid-ccc/scalar",
+    }
+    pid = {"as it is": "pid-ccc", "K_I = 0": "pid-ccc/no-integral"}
+    pid |= {f"K_P = {gain:g}": f"pid-ccc/K_P-{gain:g}" for gain in PROPORTIONAL}
+    fuzzy = {"as it is": "af-pid-ccc", "frozen": "fuzzy-frozen", "leak": "af-pid-ccc/leak"}
+    blind = "no observer: no coupling either, and five times the switching gain"
+    leak = f"leak: {LEAK:g} 1/s; ×: learning rates"
     return (
-        bars(
-            "masses in the laws and start",
-            ("no coupling", starts("none")),
-            ("PID", starts("pid-ccc")),
-            ("adaptive fuzzy PID", starts("af-pid-ccc")),
-        ),
-        bars(
-            "observer and form of the contour error",
-            (
-                "RMS",
-                {
-                    "none": "none",
-                    "no observer": "none/blind",
-                    "PID": "pid-ccc",
-                    "PID, scalar": "pid-ccc/scalar",
-                    "fuzzy": "af-pid-ccc",
-                    "fuzzy, scalar": "af-pid-ccc/scalar",
-                },
-            ),
-            text="no observer: no coupling either, and five times the switching gain",
-            log=True,
-        ),
-        bars(
-            "PID coupling",
-            (
-                "RMS",
-                {
-                    "as it is": "pid-ccc",
-                    "K_I = 0": "pid-ccc/no-integral",
-                    **{f"K_P = {gain:g}": f"pid-ccc/K_P-{gain:g}" for gain in PROPORTIONAL},
-                },
-            ),
-        ),
-        bars(
-            "adaptive fuzzy PID coupling",
-            (
-                "RMS",
-                {
-                    "as it is": "af-pid-ccc",
-                    "frozen": "fuzzy-frozen",
-                    "leak": "af-pid-ccc/leak",
-                    **{f"× {factor:g}": f"af-pid-ccc/rates-{factor:g}" for factor in RATES},
-                },
-            ),
-            text=f"leak: {LEAK:g} 1/s; ×: learning rates",
-        ),
+        bars("masses in the laws and start", "µm", starts),
+        bars("observer and form of the contour error", "µm", [_rms(evidence, forms)], blind, True),
+        bars("PID coupling", "µm", [_rms(evidence, pid)]),
+        bars("adaptive fuzzy PID coupling", "µm", [_rms(evidence, fuzzy | RATE_CASES)], leak),
     )
 
 
@@ -275,68 +247,19 @@ def _run(
 
 
 plots: tuple[ChartPlot | RunPlot, ...] = (
-    ChartPlot(
-        name="figure03-membership",
-        title="Figure 3: membership functions",
-        charts=_memberships,
-        text="Seven Gaussian sets whose neighbours cross at one half; number and shape are chosen.",
-    ),
-    ChartPlot(
-        name="table1-rules",
-        title="Table 1: the rules before and after learning",
-        charts=_rules,
-        text="Contour gain over the rate, one line for each row of the table at its centre: "
-        "X1 = 3 tanh(-E / eps_sc) with E >= 0, so only the rows NB to ZO are met. The published "
-        "rules are lost; the classical ones stand in.",
-    ),
-    ChartPlot(
-        name="figure05-control",
-        title="Figure 5: control without observer",
-        charts=partial(_control, BLIND),
-        text="Switching by the sign with a large gain.",
-    ),
-    ChartPlot(
-        name="figure06-control",
-        title="Figure 6: control with observer",
-        charts=partial(_control, OBSERVED),
-        text="Switching by the sign with a tenth of the gain: what the observer allows.",
-    ),
-    ChartPlot(
-        name="figure06d-disturbance",
-        title="Figure 6d: disturbance and estimate",
-        charts=_disturbance,
-        text="With the small switching gain.",
-    ),
-    ChartPlot(
-        name="figure07-laws",
-        title="Figure 7: PD and sliding mode",
-        charts=_errors,
-        text="The PD law has the poles of the sliding mode's boundary layer.",
-    ),
+    paper.chart("figure03-membership", _memberships),
+    paper.chart("table1-rules", _rules),
+    paper.chart("figure05-control", partial(_control, BLIND)),
+    paper.chart("figure06-control", partial(_control, OBSERVED)),
+    paper.chart("figure06d-disturbance", _disturbance),
+    paper.chart("figure07-laws", _errors),
     _run("07", "pd", "PD without observer", ("axes",)),
     _run("07", "none", "sliding mode with observer", ("axes",)),
     _run("08", "pid-ccc", "PID cross-coupling", ("axes", "error")),
     _run("08", "af-pid-ccc", "adaptive fuzzy PID cross-coupling", ("axes", "error", "schedule")),
     _run("08e", "pid-ccc", "PID cross-coupling", ("space",), LATER),
     _run("08e", "af-pid-ccc", "adaptive fuzzy PID cross-coupling", ("space",), LATER),
-    ChartPlot(
-        name="tables",
-        title="Tables 4 and 5: what adaptive fuzzy coupling saves",
-        charts=_savings,
-        text="Shares only: the printed errors have no unit and their machine is not known.",
-    ),
-    ChartPlot(
-        name="causes",
-        title="What the improvement rests on",
-        charts=_causes,
-        text="Faster learning raises the gains and lowers the error; constant gains of the same "
-        "level do as well.",
-    ),
-    ChartPlot(
-        name="variants",
-        title="Contour error RMS with other numbers",
-        charts=_variants,
-        text=f"Wrong masses: assumed {', '.join(map(str, MASS_ERROR))} times the true ones; from "
-        "rest: on the path.",
-    ),
+    paper.chart("tables", _savings),
+    paper.chart("causes", _causes),
+    paper.chart("variants", _variants),
 )

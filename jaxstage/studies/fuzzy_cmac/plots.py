@@ -10,7 +10,9 @@ from jaxstage.studies.evidence import Evidence
 from jaxstage.studies.fuzzy_cmac.experiments import CREDITS, DRAWS, machines
 from jaxstage.studies.fuzzy_cmac.loops import CONTOURS, build, law
 from jaxstage.studies.fuzzy_cmac.table_claims import TABLE2
-from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot
+from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot, bars, paper_plots
+
+paper = paper_plots("fuzzy-cmac")
 
 NAMES = tuple(CONTOURS)
 
@@ -30,7 +32,7 @@ def _table2(evidence: Evidence) -> tuple[Chart, ...]:
                 ("here", _lap(evidence, key, f"{figure}_um")),
             )
         ]
-        charts.append(Chart(title=meaning, x="", y="µm", lines=tuple(lines), bars=True))
+        charts.append(bars(meaning, "µm", lines))
     return tuple(charts)
 
 
@@ -45,14 +47,7 @@ def _laws(evidence: Evidence) -> tuple[Chart, ...]:
         )
     )
     return (
-        Chart(
-            title="as published",
-            x="",
-            y="contour error RMS in µm",
-            lines=lines,
-            bars=True,
-            log_y=True,
-        ),
+        bars("as published", "contour error RMS in µm", lines, log_y=True),
         Chart(
             title=f"{DRAWS} uncertain machines, circle",
             x="machines, best first",
@@ -80,7 +75,7 @@ def _credits(evidence: Evidence) -> tuple[Chart, ...]:
     names = [*(f"CMAC, credit {credit:g}" for credit in CREDITS.values()), "DFCMAC"]
     keys = [*(f"cmac{suffix}" for suffix in CREDITS), "dfcmac"]
     lines = tuple(Line(c, names, [evidence[f"{key}-{c}"]["ate_um"] for key in keys]) for c in NAMES)
-    return (Chart(title="ATE of the second lap", x="", y="µm", lines=lines, bars=True),)
+    return (bars("ATE of the second lap", "µm", lines),)
 
 
 def _contours(evidence: Evidence) -> tuple[Chart, ...]:
@@ -98,33 +93,10 @@ def _contours(evidence: Evidence) -> tuple[Chart, ...]:
 
 
 plots: tuple[ChartPlot | RunPlot, ...] = (
-    ChartPlot(
-        name="figure06",
-        title="Figure 6: the reference contours",
-        charts=_contours,
-        text="Rational B-splines from the control points, knots and weights of Table 1. Heart and "
-        "star have corners, where no axis can follow without an error.",
-    ),
-    ChartPlot(
-        name="table2",
-        title="Table 2: tracking error of the simulations",
-        charts=_table2,
-        text="The level and the saving agree; which contour is hard does not.",
-    ),
-    ChartPlot(
-        name="laws",
-        title="All laws on the same machine",
-        charts=_laws,
-        text="An industrial cascade with full feed-forward, tuned by hand, beside the "
-        "paper's laws. Right: on machines that none of them was told about.",
-    ),
-    ChartPlot(
-        name="credits",
-        title="What the improvement rests on",
-        charts=_credits,
-        text="The learning rate makes the difference: with the credit 0.442 the conventional CMAC "
-        "learns as fast as the fuzzy one and is as good, with 1 it is better.",
-    ),
+    paper.chart("figure06", _contours),
+    paper.chart("table2", _table2),
+    paper.chart("laws", _laws),
+    paper.chart("credits", _credits),
     *(
         RunPlot(
             name=f"figure{number:02d}-{contour}",

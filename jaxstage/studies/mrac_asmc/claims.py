@@ -83,11 +83,9 @@ def _errors() -> list[Claim]:
 def _feedforward() -> list[Claim]:
     table, pid, asmc = PUBLISHED["figure16"], "cascade-r", "asmc-mrac-caps-ahead-r"
     claims = []
-    for part, key, text in (
-        ("start", "start", "setting off"),
-        ("reversals", "reversal", "reversing"),
-    ):
-        words, metric = {"key": key, "text": text}, f"{part}_peak_um"
+    for part, text in (("start", "setting off"), ("reversals", "reversing")):
+        key, metric = part.removesuffix("s"), f"{part}_peak_um"
+        told = paper.about(key=key, text=text)
         printed = always(1 - table[f"{key}_asmc_um"] / table[f"{key}_pid_um"])
         claims += [
             told.claim("{key}-pid", of(pid, metric)),

@@ -11,7 +11,18 @@ from jaxstage.studies.mrac_asmc.experiments import GAINS, LAYERS, RUN_TIMES, STE
 from jaxstage.studies.mrac_asmc.loops import TIMING, build, law, version
 from jaxstage.studies.mrac_asmc.picking import PUBLISHED
 from jaxstage.studies.mrac_asmc.traces import spectrum
-from jaxstage.studies.plots import Chart, ChartPlot, Line, RunPlot
+from jaxstage.studies.plots import (
+    Chart,
+    ChartPlot,
+    Line,
+    RunPlot,
+    bars,
+    of_cases,
+    over_time,
+    paper_plots,
+)
+
+paper = paper_plots("mrac-asmc")
 
 #: every so many ticks of a trace are drawn
 THIN = 5
@@ -32,7 +43,7 @@ def _errors(number: int, title: str, *cases: tuple[str, str]) -> ChartPlot:
 
     def charts(evidence: Evidence) -> tuple[Chart, ...]:
         lines = tuple(_line(evidence, label, case) for label, case in cases)
-        return (Chart(title="motor side", x="time in s", y="error in µm", lines=lines),)
+        return (over_time("motor side", "error in µm", lines),)
 
     return ChartPlot(
         name=f"figure{number:02d}",
@@ -50,15 +61,15 @@ def _bipolar(evidence: Evidence) -> tuple[Chart, ...]:
 
 def _adapted(signal: str, unit: str, evidence: Evidence) -> tuple[Chart, ...]:
     lines = (_line(evidence, "first simulation", "sim1", signal),)
-    return (Chart(title="fixed slope", x="time in s", y=unit, lines=lines),)
+    return (over_time("fixed slope", unit, lines),)
 
 
 def _steps(evidence: Evidence) -> tuple[Chart, ...]:
     lines = [_line(evidence, f"eps = {gain}", f"step{gain}") for gain in STEP_GAINS]
     close = [Line(line.label, line.x[-60:], line.y[-60:]) for line in lines]
     return (
-        Chart(title="whole", x="time in s", y="error in µm", lines=tuple(lines)),
-        Chart(title="steady", x="time in s", y="error in µm", lines=tuple(close)),
+        over_time("whole", "error in µm", lines),
+        over_time("steady", "error in µm", close),
     )
 
 
@@ -71,9 +82,7 @@ def _run_times(evidence: Evidence) -> tuple[Chart, ...]:
             line = _line(evidence, label, case + suffix)
             shown = np.asarray(line.x) < time
             lines.append(Line(label, np.asarray(line.x)[shown], np.asarray(line.y)[shown]))
-        charts.append(
-            Chart(title=f"{time:g} s", x="time in s", y="error in µm", lines=tuple(lines))
-        )
+        charts.append(over_time(f"{time:g} s", "error in µm", lines))
     return tuple(charts)
 
 
@@ -84,9 +93,7 @@ def _means(evidence: Evidence) -> tuple[Chart, ...]:
         Line(label, names, [evidence[f"{case}{s}"]["mean_um"] for s in suffixes])
         for label, case in (("scenario R", "asmc-mrac-caps-r"), ("ideal", "asmc-mrac-caps"))
     )
-    return (
-        Chart(title="second half of a period", x="", y="mean of |e| in µm", lines=lines, bars=True),
-    )
+    return (bars("second half of a period", "mean of |e| in µm", lines),)
 
 
 def _spectra(*cases: tuple[str, str]) -> Callable[[Evidence], tuple[Chart, ...]]:
@@ -118,7 +125,7 @@ def _table4(evidence: Evidence) -> tuple[Chart, ...]:
     for label, suffix in (("here, friction on the load", ""), ("on the motor", "-motor")):
         found = [evidence[f"{key}{suffix}"]["variance_um2"] for key in keys]
         lines.append(Line(label, names, found))
-    return (Chart(title="scenario R", x="", y="variance in µm²", lines=tuple(lines), bars=True),)
+    return (bars("scenario R", "variance in µm²", lines),)
 
 
 def _gains(evidence: Evidence) -> tuple[Chart, ...]:
@@ -143,13 +150,11 @@ def _switches(evidence: Evidence) -> tuple[Chart, ...]:
     cases |= {f"implicit, {width}": f"smc1500-layer{width}-r" for width in LAYERS}
     cases |= {"sigmoid": "sigmoid-r", "ASMC+MRAC, capped": "asmc-mrac-caps-r"}
     return tuple(
-        Chart(
-            title=title,
-            x="",
-            y=unit,
-            bars=True,
+        bars(
+            title,
+            unit,
+            [of_cases(title, evidence, figure, cases)],
             log_y=True,
-            lines=(Line(title, list(cases), [evidence[c][figure] for c in cases.values()]),),
         )
         for title, figure, unit in (
             ("chattering of the error", "chattering_um", "amplitude in µm"),
@@ -172,13 +177,11 @@ def _limit(evidence: Evidence) -> tuple[Chart, ...]:
     steps = [evidence[case]["command_step_Nm"] for case in cases.values()]
     return (
         Chart(title="60 periods", x="time in ms", y="command in N m", lines=tuple(lines)),
-        Chart(
-            title="change of the command a period",
-            x="",
-            y="mean in N m",
-            bars=True,
+        bars(
+            "change of the command a period",
+            "mean in N m",
+            (Line("command", list(cases), steps),),
             log_y=True,
-            lines=(Line("command", list(cases), steps),),
         ),
     )
 
@@ -190,39 +193,17 @@ def _contours(evidence: Evidence) -> tuple[Chart, ...]:
         lines = [
             Line(side, np.arange(len(error)) * TIMING.dt, error) for side, error in traces.items()
         ]
-        charts.append(
-            Chart(title=title, x="time in s", y="contour error in µm", lines=tuple(lines))
-        )
+        charts.append(over_time(title, "contour error in µm", lines))
     return tuple(charts)
 
 
 plots: tuple[ChartPlot | RunPlot, ...] = (
-    ChartPlot(
-        name="figure04",
-        title="Figure 4: the bipolar function",
-        charts=_bipolar,
-        text="It approaches the sign as a grows.",
-    ),
+    paper.chart("figure04", _bipolar),
     _errors(5, "first simulation", ("fixed slope", "sim1")),
-    ChartPlot(
-        name="figure06",
-        title="Figure 6: switching gain",
-        charts=partial(_adapted, "gain", "eps in rad/s²"),
-        text="Read how fast it rises at first, and whether it comes to rest.",
-    ),
-    ChartPlot(
-        name="figure07",
-        title="Figure 7: sharpness",
-        charts=partial(_adapted, "sharpness", "a"),
-        text="Read where it settles; printed is 50.",
-    ),
+    paper.chart("figure06", partial(_adapted, "gain", "eps in rad/s²")),
+    paper.chart("figure07", partial(_adapted, "sharpness", "a")),
     _errors(8, "second simulation", ("adaptive slope", "sim2")),
-    ChartPlot(
-        name="figure10",
-        title="Figures 10 and 11: steps of 0.5 mm",
-        charts=_steps,
-        text="The reaching phase should take 0.5 c/eps. Compare arrival and steady chattering.",
-    ),
+    paper.chart("figure10", _steps),
     _errors(12, "SMC and PID", ("SMC", "smc1500-r"), ("PID", "cascade-r")),
     _errors(
         13,
@@ -231,18 +212,8 @@ plots: tuple[ChartPlot | RunPlot, ...] = (
         ("SMC+MRAC", "smc500-mrac-r"),
         ("ASMC+MRAC, capped", "asmc-mrac-caps-r"),
     ),
-    ChartPlot(
-        name="figure14",
-        title="Figure 14: run times",
-        charts=_run_times,
-        text="ASMC+MRAC, capped, over one period each: compare the errors, each on its own scale.",
-    ),
-    ChartPlot(
-        name="figure15",
-        title="Figure 15: mean error and run time",
-        charts=_means,
-        text="ASMC+MRAC, capped. Bars of one height: the mean error is free of the run time.",
-    ),
+    paper.chart("figure14", _run_times),
+    paper.chart("figure15", _means),
     _errors(
         16,
         "feed-forward of 2 um",
@@ -250,55 +221,22 @@ plots: tuple[ChartPlot | RunPlot, ...] = (
         ("ASMC+MRAC, capped, 2 um ahead", "asmc-mrac-caps-ahead-r"),
         ("ASMC+MRAC, capped", "asmc-mrac-caps-r"),
     ),
-    ChartPlot(
-        name="figure17",
-        title="Figure 17: spectra of PID and ASMC",
-        charts=_spectra(("PID", "cascade-r"), ("ASMC+MRAC, capped", "asmc-mrac-caps-r")),
-        text="The paper compares the levels of 1 to 50, 50 to 150 and 150 to 340 Hz.",
+    paper.chart(
+        "figure17", _spectra(("PID", "cascade-r"), ("ASMC+MRAC, capped", "asmc-mrac-caps-r"))
     ),
-    ChartPlot(
-        name="figure18",
-        title="Figure 18: spectra of SMC and ASMC",
-        charts=_spectra(
+    paper.chart(
+        "figure18",
+        _spectra(
             ("SMC", "smc1500-r"),
             ("ASMC+MRAC, capped", "asmc-mrac-caps-r"),
             ("fixed sigmoid", "sigmoid-r"),
         ),
-        text="Chattering counts from 50 Hz. The fixed sigmoid has neither adaptation nor MRAC.",
     ),
-    ChartPlot(
-        name="table4",
-        title="Table 4: variance of the following error",
-        charts=_table4,
-        text="The filter of scenario R was picked for the first printed level; compare the order.",
-    ),
-    ChartPlot(
-        name="gains",
-        title="Chattering, variance and heat over the switching gain",
-        charts=_gains,
-        text="Scenario R. The level line is ASMC+MRAC, capped, whose switching gain adapts.",
-    ),
-    ChartPlot(
-        name="switches",
-        title="Ways to switch",
-        charts=_switches,
-        text="Scenario R. Implicit switching with eps = 1500 and layers of 1, 4 and 8 times the "
-        "change of s in a period, beside sgn and a sigmoid with eps = 230.",
-    ),
-    ChartPlot(
-        name="limit",
-        title="Published sharpness and control period",
-        charts=_limit,
-        text="Ideal measurement, eps = 230 and MRAC for all three. A zigzag is an oscillation at "
-        "half the sampling rate. The implicit switch has one layer, the change of s in a period.",
-    ),
-    ChartPlot(
-        name="xy",
-        title="Circle of two axes: load and motor",
-        charts=_contours,
-        text="The encoders sit on the motors. The load adds the twist of the shafts, which no law "
-        "here sees.",
-    ),
+    paper.chart("table4", _table4),
+    paper.chart("gains", _gains),
+    paper.chart("switches", _switches),
+    paper.chart("limit", _limit),
+    paper.chart("xy", _contours),
     RunPlot(
         name="asmc-mrac-caps-r",
         text="ASMC+MRAC, capped, scenario R: the tool lags the motor by the twist of the shaft",
