@@ -193,7 +193,7 @@ def _reports(name: str) -> Iterable[type]:
     stored = [recorded.metric for recorded in entry.recorded]
     run = jax.eval_shape(with_metric(case, together(case.metric, *stored)).simulate)
     found = [run.report] + [
-        jax.eval_shape(lambda rows, r=r: r.figures(rows, case.loop.dt), run.rows[r.metric.name])
+        jax.eval_shape(lambda rows, r=r: r.evaluate(rows, case.loop.dt), run.rows[r.metric.name])
         for r in entry.recorded
     ]
     return [type(x) for x in jax.tree.leaves(found, is_leaf=dataclasses.is_dataclass)]

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import jaxstage as js
 from jaxstage import plot
 from jaxstage.metrics import contour, record, together
-from jaxstage.studies import with_figures
+from jaxstage.studies import with_scored_metric
 
 # %matplotlib inline
 
@@ -84,7 +84,7 @@ plot.surface(shown)
 
 
 # %%
-light = with_figures(case, together(contour))
+light = with_scored_metric(case, together(contour))
 
 
 def contour_rms(slope: jax.Array) -> jax.Array:

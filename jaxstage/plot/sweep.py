@@ -379,13 +379,13 @@ class Index(NamedTuple):
     total_error: float
 
 
-def indices(name: str, found: Sequence[Index], sheet: Sheet) -> Figure:
+def indices(name: str, values: Sequence[Index], sheet: Sheet) -> Figure:
     """First and total Sobol index of each value, the largest on top."""
     text = (
         "Share of the variance of the figure that a value explains alone (S1) and with all its "
         "interactions (ST), with 95 % intervals."
     )
-    order = sorted(found, key=lambda index: -index.total)
+    order = sorted(values, key=lambda index: -index.total)
     title = f"{name}: Sobol indices of {sheet.label}"
     drawn = sheet_figure(title, text, sheet.footer, 12, 2.0 + 0.5 * len(order))
     ax = drawn.subplots()

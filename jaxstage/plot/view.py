@@ -117,15 +117,15 @@ def _array(values: Any, kept: slice) -> np.ndarray:
 
 def _optional(tree: Any, name: str, kept: slice) -> np.ndarray | None:
     """The first field called ``name`` anywhere below ``tree``: laws may be nested."""
-    found = (value for path, _, value in leaves(tree) if path.rsplit(".", 1)[-1] == name)
-    value = next(found, None)
+    named = (value for path, _, value in leaves(tree) if path.rsplit(".", 1)[-1] == name)
+    value = next(named, None)
     return None if value is None else _array(value, kept)
 
 
 def _schedule(memory: Any, kept: slice) -> np.ndarray | None:
     names = ("proportional_gain", "integral_gain", "derivative_gain")
-    found = [_optional(memory, name, kept) for name in names]
-    gains = [values for values in found if values is not None]
+    scheduled = [_optional(memory, name, kept) for name in names]
+    gains = [values for values in scheduled if values is not None]
     return np.stack(gains, axis=1) if len(gains) == len(names) else None
 
 

@@ -46,8 +46,8 @@ def equal_cells(values: np.ndarray) -> list[list[Cell]]:
     """
     tolerance = 1e-9 * float(np.max(np.abs(values)))
     groups: list[list[Cell]] = []
-    for found in np.argwhere(np.ptp(values, axis=0) > 0):
-        cell = tuple(int(i) for i in found)
+    for index in np.argwhere(np.ptp(values, axis=0) > 0):
+        cell = tuple(int(i) for i in index)
         of_cell = values[(slice(None), *cell)]
         alike = (
             group

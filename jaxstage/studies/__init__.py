@@ -11,8 +11,8 @@ from jaxstage.studies import fuzzy_cmac as fuzzy_cmac
 from jaxstage.studies import mrac_asmc as mrac_asmc
 from jaxstage.studies.case import Case as Case
 from jaxstage.studies.case import Timing as Timing
-from jaxstage.studies.case import with_figures as with_figures
 from jaxstage.studies.case import with_metric as with_metric
+from jaxstage.studies.case import with_scored_metric as with_scored_metric
 from jaxstage.studies.claim import judge as judge
 from jaxstage.studies.comparison import Comparison as Comparison
 from jaxstage.studies.comparison import compare as compare
@@ -69,16 +69,16 @@ def build(name: str, timing: Timing | None = None) -> Case:
     """The loop called ``name``, e.g. ``dfcmac-circle``.
 
     timing: that of the published loop if left out. Warns where single precision, JAX's default,
-    moves the figures of this loop by over 1 %. Raises ValueError for an unknown name and for
+    moves the metrics of this loop by over 1 %. Raises ValueError for an unknown name and for
     impossible timing.
     """
     entry = find(name)
     if jnp.zeros(()).dtype == jnp.float32:
         for study in all_studies:
-            figure, difference = worst(stored_precision(study.name).get(name, {"": 0.0}))
+            metric, difference = worst(stored_precision(study.name).get(name, {"": 0.0}))
             if difference > LARGEST:
                 warnings.warn(
-                    f"single precision moves {figure} of {name} by {difference:.1%}: "
+                    f"single precision moves {metric} of {name} by {difference:.1%}: "
                     'call configure(precision="double") first',
                     stacklevel=2,
                 )

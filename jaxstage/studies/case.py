@@ -128,6 +128,6 @@ def with_metric(case: Case, metric: Metric) -> Case:
     return case._replace(loop=replace(case.loop, metric=metric))
 
 
-def with_figures(case: Case, metric: Metric) -> Case:
+def with_scored_metric(case: Case, metric: Metric) -> Case:
     """The case whose scored ticks are judged by another metric, usually ``standard(extra=...)``."""
     return case._replace(metric=metric, loop=replace(case.loop, metric=scored(metric, case.window)))

@@ -1,6 +1,6 @@
-"""A claim of a paper as a predicate with a threshold on computed figures.
+"""A claim of a paper as a predicate with a threshold on computed metrics.
 
-A `Claim` says where it stands, what is printed, which figure of ours it is held against and by
+A `Claim` says where it stands, what is printed, which metric of ours it is held against and by
 which `Bound`. Its verdict is computed by `judge` from the evidence of a study's experiments; what
 no simulation can decide is `unchecked`, with the reason.
 """
@@ -19,7 +19,7 @@ HOLDS, FAILS, UNCHECKED = "holds", "fails", "unchecked"
 
 @definition
 class Bound:
-    """When a figure agrees with a claim: ``holds(ours, published)``; ``text`` says it in words."""
+    """When a metric agrees with a claim: ``holds(ours, published)``; ``text`` says it in words."""
 
     text: str
     holds: Callable[[float, float], bool]
@@ -56,9 +56,9 @@ class Claim:
     """One claim.
 
     id: short name, unique in the study. where: place in the paper. text: what the paper says, in
-    our words. published: the printed figure, or None where only words are printed. unit: of both
-    figures, empty for a pure number. ours: picks the figure out of the evidence; None for what
-    cannot be checked. bound: when ours agrees, None with ``ours``. reason: what the figure rests
+    our words. published: the printed number, or None where only words are printed. unit: of both
+    numbers, empty for a pure number. ours: picks the metric out of the evidence; None for what
+    cannot be checked. bound: when ours agrees, None with ``ours``. reason: what the metric rests
     on (published values, or which chosen one), or why it cannot be checked.
     """
 

@@ -36,8 +36,8 @@ def compare(study: Study, progress: Callable[[str], None] = lambda experiment: N
 
     evidence: dict[str, Any] = {}
     with ThreadPoolExecutor(cpu_cores()) as pool:
-        for found in pool.map(measured, study.experiments):
-            evidence |= found
+        for part in pool.map(measured, study.experiments):
+            evidence |= part
     return Comparison(study, evidence, tuple(judge(claim, evidence) for claim in study.claims))
 
 

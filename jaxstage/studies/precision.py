@@ -10,14 +10,14 @@ from jaxstage.simulate.rollout import simulate
 from jaxstage.studies.case import Case
 from jaxstage.studies.packaged import packaged_toml
 
-#: the figures that are compared
+#: the metrics that are compared
 HEADLINE = ("ate_um", "tesd_um", "contour_rms_um", "contour_max_um", "energy_J")
 #: a loop with a larger relative difference is refused in single precision, unless forced
 LARGEST = 0.01
 
 
 def compare_precision(case: Case) -> dict[str, float]:
-    """|f32 - f64| / |f64| of each headline figure. Needs double precision to be switched on."""
+    """|f32 - f64| / |f64| of each headline metric. Needs double precision to be switched on."""
     if jnp.zeros(()).dtype != jnp.float64:
         raise ValueError("comparing precisions needs precision = double")
     single = jax.tree.map(
@@ -38,11 +38,11 @@ def compare_precision(case: Case) -> dict[str, float]:
 
 
 def stored_precision(study: str) -> dict[str, dict[str, float]]:
-    """The measured table of a study, loop -> figure -> relative difference."""
+    """The measured table of a study, loop -> metric -> relative difference."""
     return packaged_toml(study, "precision.toml")
 
 
 def worst(table: dict[str, Any]) -> tuple[str, float]:
-    """The figure with the largest difference, and that difference."""
-    figure = max(table, key=lambda key: table[key])
-    return figure, float(table[figure])
+    """The metric with the largest difference, and that difference."""
+    metric = max(table, key=lambda key: table[key])
+    return metric, float(table[metric])

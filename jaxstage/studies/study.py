@@ -11,34 +11,36 @@ from jaxstage.studies.experiment import Experiment
 from jaxstage.studies.plots import ChartPlot, RunPlot
 
 
-def no_notes(case: Case, figures: Mapping[str, Any]) -> tuple[str, ...]:
+def no_notes(case: Case, metrics: Mapping[str, Any]) -> tuple[str, ...]:
     """Nothing the user should know about the run."""
     return ()
 
 
 @definition
-class Recorded:
-    """Figures that need every tick, such as spectra: for single runs only.
+class RecordedMetric:
+    """A metric that needs every tick, such as a spectrum: for single runs only.
 
-    metric: stores what they need. figures(rows, dt): their report, of any part of the rows.
+    Attributes:
+        metric: Stores what it needs.
+        evaluate: Its report, of any part of the rows that were stored, and of the control period.
     """
 
     metric: Metric
-    figures: Callable[[Any, float], Any]
+    evaluate: Callable[[Any, float], Any]
 
 
 @definition
 class NamedLoop:
     """An entry of a study: name, one line on it, how to build it, its own timing, what the user
     should know about a run of it (a limit that its gains pass, one line each, from the case and
-    the scored columns), and the figures of a single run beside those of its metric."""
+    the scored columns), and the recorded metrics of a single run."""
 
     name: str
     summary: str
     build: Callable[[Timing], Case]
     timing: Timing = Timing()
     notes: Callable[[Case, Mapping[str, Any]], tuple[str, ...]] = no_notes
-    recorded: tuple[Recorded, ...] = ()
+    recorded: tuple[RecordedMetric, ...] = ()
 
 
 @definition

@@ -8,7 +8,7 @@ from jaxstage.studies.case import Case
 
 
 def scored_text(case: Case) -> str:
-    """What the figures cover."""
+    """What the metrics cover."""
     if case.window.scored == 0:
         start = case.window.start * case.loop.dt
         return f"t >= {time_text(start)}" if start else "whole run"
@@ -22,16 +22,16 @@ def lost_because(case: Case, left_path_at: int | None) -> str:
     return "a value is not finite"
 
 
-def verdict(case: Case, figures: Mapping[str, Any], lost: int | None, because: str) -> str:
+def verdict(case: Case, metrics: Mapping[str, Any], lost: int | None, because: str) -> str:
     """One sentence: complete with its contour error, or LOST, when and why.
 
-    figures: the columns of the scored report. lost: the tick at which the run was lost, or None.
+    metrics: the columns of the scored report. lost: the tick at which the run was lost, or None.
     """
     if lost is not None:
         at = time_text(lost * case.loop.dt)
-        return f"LOST at t = {at} (tick {lost} of {case.window.ticks}): {because}; no figures"
-    kind = "contour" if "contour_rms_um" in figures else "following"
-    rms, top = (_largest(figures.get(f"{kind}_{name}_um")) for name in ("rms", "max"))
+        return f"LOST at t = {at} (tick {lost} of {case.window.ticks}): {because}; no metrics"
+    kind = "contour" if "contour_rms_um" in metrics else "following"
+    rms, top = (_largest(metrics.get(f"{kind}_{name}_um")) for name in ("rms", "max"))
     if rms is None or top is None:
         return f"complete ({scored_text(case)})"
     return (
@@ -40,7 +40,7 @@ def verdict(case: Case, figures: Mapping[str, Any], lost: int | None, because: s
     )
 
 
-def _largest(figure: Any) -> float | None:
-    """A figure, or the largest of its axes; None where there is none."""
-    values = list(figure.values()) if isinstance(figure, Mapping) else [figure]
+def _largest(metric: Any) -> float | None:
+    """A metric, or the largest of its axes; None where there is none."""
+    values = list(metric.values()) if isinstance(metric, Mapping) else [metric]
     return None if None in values else max(values)

@@ -36,7 +36,7 @@ from jaxstage.studies.mrac_asmc.loops import law as law_called
 from jaxstage.studies.mrac_asmc.traces import (
     adaptive_law,
     gains_of,
-    run_figures,
+    run_metrics,
     switched_law,
     trace,
     traced,
@@ -64,7 +64,7 @@ def agree(found, printed, share=SMOOTH):
 
 @functools.cache
 def ideal():
-    return run_figures(*ideal_adaptive()) | run_figures(*ideal_cascade())
+    return run_metrics(*ideal_adaptive()) | run_metrics(*ideal_cascade())
 
 
 @functools.cache
@@ -73,7 +73,7 @@ def rough():
     adaptive, periods = rough_adaptive()
     found = {}
     for cases in (adaptive, rough_switched(), rough_cascade()):
-        found |= run_figures({k: case for k, case in cases.items() if "/start" not in k}, periods)
+        found |= run_metrics({k: case for k, case in cases.items() if "/start" not in k}, periods)
     return found
 
 
@@ -220,7 +220,7 @@ def test_trajectories_of_laws_that_do_not_adapt():
 
 
 def test_the_printed_sign_makes_the_axis_stick():
-    found = run_figures(printed_sign(), {})["sim1-printed"]
+    found = run_metrics(printed_sign(), {})["sim1-printed"]
     for key, printed in zip(
         FIGURES, ("1998", "997.6", "4.996e5", "11.31", "28.42", "30"), strict=True
     ):
@@ -238,7 +238,7 @@ def switched_ideal():
         "smc500": gains_of(values.sliding_mode(500)),
         "smc500-mrac": gains_of(values.sliding_mode(500), True),
     }
-    return run_figures({name: traced(law, g, drives) for name, g in gains.items()}, {})
+    return run_metrics({name: traced(law, g, drives) for name, g in gains.items()}, {})
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ def test_implicit_switching_against_sign_and_sigmoid():
     law, drives = switched_law(implicit), version("")
     layer = Layer(layer=values.value(1.0))
     cases = {"one": traced(law, gains_of(values.sliding_mode(1500, layer)), drives)}
-    runs = run_figures(cases | ideal_implicit(), {})
+    runs = run_metrics(cases | ideal_implicit(), {})
     found, sign = runs["one"], switched_ideal()["smc1500"]
     assert found["variance_um2"] < 0.15 * sign["variance_um2"]
     assert found["chattering_um"] < 0.05 * sign["chattering_um"]
@@ -324,7 +324,7 @@ def test_friction_on_the_motor():
         "sim1": traced(law, gains_of(values.sim1()), drives),
         "sim2": traced(law, gains_of(values.sim2()), drives),
     }
-    found = run_figures(cases, {})
+    found = run_metrics(cases, {})
     agree(found["sim1"]["max_um"], "3.022", 1e-3)
     agree(found["sim1"]["mean_um"], "1.088", 1e-3)
     agree(found["sim1"]["gain_end"], "280.6")

@@ -26,20 +26,13 @@ from jaxstage.studies.claim import (
     count,
     judge,
     printed,
-    unchecked,
     within,
 )
 from jaxstage.studies.comparison import stored_verdicts
-from jaxstage.studies.experiment import (
-    Chart,
-    ChartPlot,
-    Experiment,
-    Line,
-    measure,
-    simulate_all,
-)
+from jaxstage.studies.experiment import Experiment, measure, simulate_all
 from jaxstage.studies.fuzzy_cmac.experiments import COUPLING, LOAD_AMPLITUDE, _disturbed, _uncertain
 from jaxstage.studies.fuzzy_cmac.loops import CONTOURS, build, law
+from jaxstage.studies.plots import Chart, ChartPlot, Line
 from jaxstage.studies.study import Study
 from tests.helpers.documented import undocumented
 from tuning.app import main as cli
@@ -99,7 +92,7 @@ def test_a_lost_run_fails_and_is_no_number():
 
 @pytest.mark.fast
 def test_what_cannot_be_checked_says_why():
-    claim = unchecked("x", "Table 3", "field test", 3.0, "um", "their machine")
+    claim = replace(a_claim(None, published=3.0, ours=None), reason="their machine")
     found = judge(claim, {})
     assert (found.verdict, found.ours, found.reason) == (UNCHECKED, None, "their machine")
 
@@ -224,7 +217,7 @@ def small_study(x):
         claims=(
             a_claim(within(0.1)),
             replace(a_claim(at_most(1.0), published=None), id="two"),
-            unchecked("three", "Figure 2", "field test", None, "", "their machine"),
+            replace(a_claim(None, published=None, ours=None), id="three", reason="their machine"),
         ),
         plots=(
             ChartPlot(

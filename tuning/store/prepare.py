@@ -138,7 +138,7 @@ def _with_recorded(prepared: Prepared, run: Run) -> Run:
     window, dt, report = prepared.case.window, prepared.case.loop.dt, dict(run.report)
     for part, ticks in (("scored", slice(window.start, window.stop)), ("whole", slice(None))):
         figures = {
-            recorded.metric.name: recorded.figures(
+            recorded.metric.name: recorded.evaluate(
                 jax.tree.map(lambda row, t=ticks: row[t], run.rows[recorded.metric.name]), dt
             )
             for recorded in prepared.entry.recorded

@@ -89,7 +89,7 @@ trace = stored("trace", _traced)
 
 
 def light(case: Case, *more: Metric) -> Case:
-    """The case with the figures that claims use: from 1 s on ("late") and of the whole run."""
+    """The case with the metrics that claims use: from 1 s on ("late") and of the whole run."""
     start, stop = case.window.start, case.window.stop
     late = together(following, contour, effort(CUTOFF), reaching_gain(gain_of))
     return with_metric(
@@ -120,7 +120,7 @@ def evidence_of(cases: Mapping[str, Case], shown: tuple[str, ...] = ()) -> dict[
 
 
 def _fast(case: Case, command: Array) -> dict[str, Any]:
-    """The figure of `high_frequency`, from the stored command: cheaper for many runs."""
+    """The metric of `high_frequency`, from the stored command: cheaper for many runs."""
     late = command[case.window.start : case.window.stop]
     above = HighFrequency(command_high_variance=variance_above(late, case.loop.dt, CUTOFF))
     return columns(above, case.loop.plant)
@@ -203,9 +203,9 @@ def trials() -> Evidence:
     return evidence_of(cases, tuple(name for name in cases if name.endswith("trial-0")))
 
 
-def over_trials(evidence: Evidence, name: str, window: str, figure: str) -> list[Any]:
-    """A figure of every trial of ``name`` (law and regime, e.g. ``smc-s3``)."""
-    return [evidence[f"{name}/trial-{seed}/{window}"][figure] for seed in range(TRIALS)]
+def over_trials(evidence: Evidence, name: str, window: str, metric: str) -> list[Any]:
+    """A metric of every trial of ``name`` (law and regime, e.g. ``smc-s3``)."""
+    return [evidence[f"{name}/trial-{seed}/{window}"][metric] for seed in range(TRIALS)]
 
 
 def _machine(draw: np.random.Generator, case: Case) -> tuple[Case, float, float]:

@@ -40,7 +40,7 @@ from jaxstage.studies.case import Case, Timing, Window, check_timing, scored, wi
 from jaxstage.studies.law import named
 from jaxstage.studies.study import Box, NamedLoop, Spread
 
-#: one run of 20 s as published, figures from 1 s on; the substeps leave four digits
+#: one run of 20 s as published, metrics from 1 s on; the substeps leave four digits
 TIMING = Timing(lap_time=20.0, laps=1, dt=values.DT, substeps=20, skip=1.0)
 #: following error beyond which a run counts as lost: what diverges is far beyond it (chosen)
 PATH_LIMIT = 1.0
@@ -187,7 +187,7 @@ def gain_of(memory: Any) -> Array:
 
 
 def every_figure(ticks: Window, timing: Timing) -> Metric:
-    """The figures of `jaxstage run`."""
+    """The metrics of `jaxstage run`."""
     fast = high_frequency(CUTOFF, ticks.stop - ticks.start, timing.dt)
     return standard(_surface, extra=(between, reaching_gain(gain_of), fast), cutoff=CUTOFF)
 
@@ -243,21 +243,21 @@ def _largest(gains: FixedGain | AdaptiveGain | IntegralGain) -> Array:
     return jnp.where(gains.rate > 0, gains.cap, gains.start)
 
 
-def notes(case: Case, figures: Mapping[str, Any]) -> tuple[str, ...]:
-    """What the gains of a case mean for the sampled loop, whatever the figures of its run."""
+def notes(case: Case, metrics: Mapping[str, Any]) -> tuple[str, ...]:
+    """What the gains of a case mean for the sampled loop, whatever the metrics of its run."""
     gains, limit = case.gains, 2 / case.loop.dt
     slope = gains.slope + gains.damping_slope * gains.damping.final
     rate = float(jnp.max(slope + _largest(gains.reaching)))
-    found = []
+    lines = []
     if rate > limit:
-        found.append(
+        lines.append(
             f"lam + gam beta + K reaches {rate:.4g} 1/s: beyond 2/dt = {limit:.4g} 1/s the sampled "
             "loop is unstable"
         )
     switching = float(jnp.max(gains.switching_gain))
     if 0 < switching < 1e-4:
-        found.append(f"q = {switching:.2g} m/s2 (0.3 N) is far below the disturbance: no switching")
-    return tuple(found)
+        lines.append(f"q = {switching:.2g} m/s2 (0.3 N) is far below the disturbance: no switching")
+    return tuple(lines)
 
 
 #: what is uncertain about the machine (all chosen: the paper gives no tolerances)

@@ -116,19 +116,19 @@ def _bars(
     evidence: Evidence,
     laws: tuple[str, ...],
     window: str,
-    figure: str,
+    metric: str,
     unit: str,
     scale: float = 1.0,
 ) -> tuple[Chart, ...]:
-    """One panel a regime (and axis, where the figure has axes), one group of bars a trial."""
+    """One panel a regime (and axis, where the metric has axes), one group of bars a trial."""
     charts = []
     for regime in REGIMES:
-        found = {a: over_trials(evidence, f"{a}-{regime}", window, figure) for a in laws}
-        axes: tuple[Any, ...] = tuple(AXES) if isinstance(found[laws[0]][0], dict) else (None,)
+        values_of = {a: over_trials(evidence, f"{a}-{regime}", window, metric) for a in laws}
+        axes: tuple[Any, ...] = tuple(AXES) if isinstance(values_of[laws[0]][0], dict) else (None,)
         for axis in axes:
             lines = tuple(
                 Line(NAMES[a], TRIAL_NAMES, [(v[axis] if axis else v) * scale for v in values])
-                for a, values in found.items()
+                for a, values in values_of.items()
             )
             title = MEANING[regime] + (f", {AXES[axis]}" if axis else "")
             charts.append(bars(title, unit, lines))
@@ -154,8 +154,8 @@ def _matched(evidence: Evidence) -> tuple[Chart, ...]:
             _frontier("SMC, slope λ", evidence, runs),
             _frontier("ASMC", evidence, [f"asmc-{regime}"]),
         ]
-        found = matched(evidence, regime)
-        note = f"SMC matches at λ = {found[0]:.0f} 1/s" if found else ""
+        point = matched(evidence, regime)
+        note = f"SMC matches at λ = {point[0]:.0f} 1/s" if point else ""
         charts.append(
             Chart(
                 title=meaning,
@@ -179,7 +179,7 @@ def _table3(evidence: Evidence) -> tuple[Chart, ...]:
     def ours(run: str) -> list[float | None]:
         late = evidence[f"{run}/late"]
         return [
-            late[f"following_{figure}_um"][axis] for figure, axis in (c.split("_") for c in cells)
+            late[f"following_{metric}_um"][axis] for metric, axis in (c.split("_") for c in cells)
         ]
 
     lines = (
@@ -221,21 +221,21 @@ plots: tuple[ChartPlot | RunPlot, ...] = (
     paper.chart("figure05-gain", _figure5),
     paper.chart(
         "figure06-energy",
-        partial(_bars, laws=BOTH, window="whole", figure="energy_J", unit="mWh", scale=1 / 3.6),
+        partial(_bars, laws=BOTH, window="whole", metric="energy_J", unit="mWh", scale=1 / 3.6),
     ),
     paper.chart("figure07-tracking", partial(_trials, BOTH, ERROR)),
     paper.chart(
         "figure08-max",
-        partial(_bars, laws=BOTH, window="late", figure="following_max_um", unit="µm"),
+        partial(_bars, laws=BOTH, window="late", metric="following_max_um", unit="µm"),
     ),
     paper.chart("figure09-command", partial(_trials, BOTH, COMMAND)),
     paper.chart(
         "figure10-variance",
-        partial(_bars, laws=BOTH, window="late", figure="command_variance_V2", unit="V²"),
+        partial(_bars, laws=BOTH, window="late", metric="command_variance_V2", unit="V²"),
     ),
     paper.chart(
         "figure11-star-energy",
-        partial(_bars, laws=STAR, window="whole", figure="energy_J", unit="mWh", scale=1 / 3.6),
+        partial(_bars, laws=STAR, window="whole", metric="energy_J", unit="mWh", scale=1 / 3.6),
     ),
     paper.chart("figure12-star-tracking", partial(_trials, ("smc", "smc-star", "asmc"), ERROR)),
     paper.chart("figure13-star-command", partial(_trials, STAR, COMMAND)),

@@ -100,7 +100,7 @@ def _with_friction(coulomb: tuple[float, float], ratio: tuple[float, float]) -> 
 
 
 def fitted_friction() -> ScrewTable:
-    """With friction fitted to Table 3: two numbers an axis, two printed figures an axis (chosen).
+    """With friction fitted to Table 3: two numbers an axis, two printed errors an axis (chosen).
 
     It needs a break-away force of 36 and 16 times the Coulomb force; 1.1 to 2 is usual.
     """

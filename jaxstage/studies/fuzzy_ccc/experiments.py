@@ -55,14 +55,14 @@ from jaxstage.studies.machines import other_machine
 DRAWS = 16
 #: switching gain without and with observer, m/s2 (chosen); 2.5 is above every |d|, 0.25 below
 LARGE, SMALL = 2.5, 0.25
-#: with the sign the figures are judged at this period, from 1 s on
+#: with the sign the metrics are judged at this period, from 1 s on
 SWITCHED = replace(TIMING, dt=1e-3, skip=1.0)
 
 LIGHT = together(following, contour)
 
 
 def _light(case: Case, metric: Metric = LIGHT) -> Case:
-    """The case with the few figures that claims are judged on."""
+    """The case with the few metrics that claims are judged on."""
     return with_metric(case, scored(metric, case.window))
 
 

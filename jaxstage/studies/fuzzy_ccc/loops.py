@@ -221,7 +221,7 @@ def left_over(gains: Any, scenario: Scenario) -> np.ndarray:
 
 
 def _reaching(
-    pick: Callable[[Any], Any], case: Case, figures: Mapping[str, Any]
+    pick: Callable[[Any], Any], case: Case, metrics: Mapping[str, Any]
 ) -> tuple[str, ...]:
     """Says where the switching gain is below what the observer leaves of the load."""
     observed = pick(case.gains)

@@ -93,10 +93,10 @@ TIMES = 20
 
 
 def _control(case: str, evidence: Evidence) -> tuple[Chart, ...]:
-    signals, figures = evidence[f"{case}/signals"], evidence[case]
+    signals, metrics = evidence[f"{case}/signals"], evidence[case]
     time, current = signals["time_s"], signals["command_A"]
     close = (time >= CLOSE[0]) & (time <= CLOSE[1])
-    varied = figures["command_variation_A_per_s"]
+    varied = metrics["command_variation_A_per_s"]
     parts = {": total variation {:.3g} A/s": slice(None), ", closer": close}
     return tuple(
         over_time(

@@ -83,7 +83,7 @@ def scenario() -> Scenario:
         sensor=(),
         # chosen: never reached on the published motion; an ideal current loop
         drive=CurrentDrive(limit=_axes(10.0), delay=_scalar(0.0), lag=_scalar(0.0)),
-        # chosen: the published figures look like those of an error at the start
+        # chosen: the published errors look like one at the start
         start=Start(offset=_axes(-100e-6, 0.0, -50e-6), velocity=_axes(1.0)),
         key=jax.random.key(0),
     )

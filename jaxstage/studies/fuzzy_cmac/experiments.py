@@ -21,9 +21,9 @@ from jaxstage.studies.experiment import (
 from jaxstage.studies.fuzzy_cmac.loops import CONTOURS, SPREADS, build, law
 from jaxstage.studies.machines import other_machine
 
-#: the tables are judged at this control period: below it the figures follow the continuous law
+#: the tables are judged at this control period: below it the metrics follow the continuous law
 FINE = Timing(dt=2e-5)
-#: the period of the published loops, whose figures the robustness is compared with
+#: the period of the published loops, whose metrics the robustness is compared with
 USUAL = Timing()
 #: machines drawn for the parameter uncertainty
 DRAWS = 16
@@ -60,7 +60,7 @@ def tables() -> Evidence:
 
 
 def _light(case: Case) -> Case:
-    """The case with the few figures that claims are judged on: metrics cost most of a run."""
+    """The case with the few metrics that claims are judged on: metrics cost most of a run."""
     return with_metric(case, scored(together(tracking, contour_error, effort()), case.window))
 
 

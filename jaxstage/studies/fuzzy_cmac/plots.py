@@ -17,19 +17,19 @@ paper = paper_plots("fuzzy-cmac")
 NAMES = tuple(CONTOURS)
 
 
-def _lap(evidence: Evidence, name: str, figure: str) -> list[float | None]:
-    return [evidence[f"{name}-{c}/second lap"][figure] for c in NAMES]
+def _lap(evidence: Evidence, name: str, metric: str) -> list[float | None]:
+    return [evidence[f"{name}-{c}/second lap"][metric] for c in NAMES]
 
 
 def _table2(evidence: Evidence) -> tuple[Chart, ...]:
     charts = []
-    for figure, meaning in (("ate", "average tracking error"), ("tesd", "its deviation")):
+    for metric, meaning in (("ate", "average tracking error"), ("tesd", "its deviation")):
         lines = [
             Line(f"{label}, {who}", NAMES, values)
             for key, label in (("cmac", "CMAC"), ("dfcmac", "DFCMAC"))
             for who, values in (
-                ("published", [TABLE2[f"{figure}_{key}"][c] for c in NAMES]),
-                ("here", _lap(evidence, key, f"{figure}_um")),
+                ("published", [TABLE2[f"{metric}_{key}"][c] for c in NAMES]),
+                ("here", _lap(evidence, key, f"{metric}_um")),
             )
         ]
         charts.append(bars(meaning, "µm", lines))

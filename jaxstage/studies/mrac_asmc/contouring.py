@@ -26,7 +26,7 @@ from jaxstage.studies.mrac_asmc import values
 from jaxstage.studies.mrac_asmc.loops import TIMING, law, make_loop, version
 
 AXES = ("x", "y")
-#: radius in m and time of a lap in s; figures cover the last of 1.25 laps (all chosen)
+#: radius in m and time of a lap in s; metrics cover the last of 1.25 laps (all chosen)
 RADIUS, LAP, LAPS = 2e-3, 2.0, 1.25
 
 

@@ -19,11 +19,11 @@ from jaxstage.studies.mrac_asmc.traces import (
     CASCADE,
     adaptive_law,
     gains_of,
-    run_figures,
+    run_metrics,
     stepped,
     switched_law,
     traced,
-    window_figures,
+    window_metrics,
 )
 
 IDEAL, ROUGH = version(""), version("-r")
@@ -44,13 +44,13 @@ ARRIVED = 0.99
 
 def several_starts(cases: Mapping[str, Case]) -> dict[str, Case]:
     """Each case from all `STARTS`: the first under its own name, the others as ``case/start1``."""
-    found = dict(cases)
+    every = dict(cases)
     for number, offset in enumerate(STARTS[1:], 1):
         for name, case in cases.items():
             start = replace(case.scenario.start, offset=jnp.full(1, offset))
             moved = case._replace(scenario=replace(case.scenario, start=start))
-            found[f"{name}/start{number}"] = moved
-    return found
+            every[f"{name}/start{number}"] = moved
+    return every
 
 
 def ideal_adaptive() -> tuple[dict[str, Case], dict[str, float]]:
@@ -195,9 +195,9 @@ def steps() -> Evidence:
         rows = {key: np.asarray(row)[:, 0] for key, row in run.rows.items()}
         error, steady = rows["error"] * 1e6, round(STEP_STEADY / TIMING.dt)
         short = np.abs(error) <= (1 - ARRIVED) * STEP_HEIGHT * 1e6
-        found = window_figures(error[steady:], rows["command"][steady:])
-        found |= {"arrived_s": int(short.argmax()) * TIMING.dt if short.any() else None}
-        evidence[name] = found | {"trace": {"error_um": error, "command_Nm": rows["command"]}}
+        measured = window_metrics(error[steady:], rows["command"][steady:])
+        measured |= {"arrived_s": int(short.argmax()) * TIMING.dt if short.any() else None}
+        evidence[name] = measured | {"trace": {"error_um": error, "command_Nm": rows["command"]}}
     return evidence
 
 
@@ -205,8 +205,9 @@ def _experiment(name: str, text: str, cases: Any) -> Experiment:
     """cases(): the cases, or the cases and the run times of some of them."""
 
     def measure() -> Evidence:
-        found = cases()
-        return run_figures(*found) if isinstance(found, tuple) else run_figures(found, {})
+        built = cases()
+        every, periods = built if isinstance(built, tuple) else (built, {})
+        return run_metrics(every, periods)
 
     return Experiment(name=name, text=text, measure=measure)
 

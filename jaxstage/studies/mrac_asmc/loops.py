@@ -41,7 +41,7 @@ from jaxstage.references import swing, swinging
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
 from jaxstage.studies.law import StudyLaw, named
 from jaxstage.studies.mrac_asmc import values
-from jaxstage.studies.study import Box, NamedLoop, Recorded, Spread
+from jaxstage.studies.study import Box, NamedLoop, RecordedMetric, Spread
 
 #: following error beyond which a run counts as lost: five strokes (chosen)
 PATH_LIMIT = 0.01
@@ -214,43 +214,43 @@ def build(law: StudyLaw, version: Version, timing: Timing) -> Case:
     )
 
 
-def oscillation(case: Case, figures: Mapping[str, Any]) -> tuple[str, ...]:
+def oscillation(case: Case, metrics: Mapping[str, Any]) -> tuple[str, ...]:
     """Whether the switch is too stiff for the control period, at the start or the end of a run, and
-    whether the law has run away. figures: of the run's end; None where it was lost."""
+    whether the law has run away. metrics: of the run's end; None where it was lost."""
     gains = case.gains.law if isinstance(case.gains, ModelReference) else case.gains
     if not isinstance(gains, AdaptiveSliding):
         return ()
     plant, dt = case.scenario.plant, case.loop.dt
     start = float(sampled_gain(gains.slope, gains.switching_gain, gains.sharpness, dt)[0])
-    end = _of_the_axis(figures, "sampled_gain_end")
+    end = _of_the_axis(metrics, "sampled_gain_end")
     limit = float((2 * plant.motor_inertia / (plant.motor_inertia + plant.load_inertia))[0])
-    found = []
+    lines = []
     if max(start, end or 0.0) > limit:
         at_the_end = "" if end is None else f" and {end:.3g} at the end"
-        found.append(
+        lines.append(
             f"eps a T/2 + c T = {start:.3g} at the start{at_the_end}; above 2 J_1/J = {limit:.4g} "
             f"the command oscillates at half the sampling rate, {0.5 / dt:.4g} Hz"
         )
     if end is not None and end > RUNAWAY * limit:
-        found.append(_run_away(gains, figures))
-    return tuple(found)
+        lines.append(_run_away(gains, metrics))
+    return tuple(lines)
 
 
-def _of_the_axis(figures: Mapping[str, Any], key: str) -> float | None:
-    return (figures.get(key) or {}).get(AXIS)
+def _of_the_axis(metrics: Mapping[str, Any], key: str) -> float | None:
+    return (metrics.get(key) or {}).get(AXIS)
 
 
-def _run_away(gains: AdaptiveSliding, figures: Mapping[str, Any]) -> str:
+def _run_away(gains: AdaptiveSliding, metrics: Mapping[str, Any]) -> str:
     parts = []
     for name, key, unit, start in (
         ("c", "surface_slope_end_1_per_s", "1/s", gains.slope),
         ("eps", "switching_gain_end_m_per_s2", "m/s2", gains.switching_gain),
         ("a", "sharpness_end_s_per_m", "s/m", gains.sharpness),
     ):
-        end = _of_the_axis(figures, key)
+        end = _of_the_axis(metrics, key)
         if end is not None:
             parts.append(f"{name} from {float(start[0]):.3g} to {end:.3g} {unit}")
-    error = _of_the_axis(figures, "drive_following_max_um")
+    error = _of_the_axis(metrics, "drive_following_max_um")
     largest = "" if error is None else f"; largest error of the drive {error:.3g} um"
     return f"the adaptation has run away: {', '.join(parts)}{largest}; caps on c and a prevent it"
 
@@ -262,7 +262,7 @@ loops: tuple[NamedLoop, ...] = tuple(
         build=functools.partial(build, law, version),
         timing=TIMING,
         notes=oscillation,
-        recorded=(Recorded(metric=recorded_drive_error, figures=drive_chattering),),
+        recorded=(RecordedMetric(metric=recorded_drive_error, evaluate=drive_chattering),),
     )
     for law in LAWS
     for version in VERSIONS

@@ -123,21 +123,21 @@ def _table4(evidence: Evidence) -> tuple[Chart, ...]:
     table = PUBLISHED["table4"]
     lines = [Line("published", names, [table[k] for k in ("smc", "smc_mrac", "asmc_mrac")])]
     for label, suffix in (("here, friction on the load", ""), ("on the motor", "-motor")):
-        found = [evidence[f"{key}{suffix}"]["variance_um2"] for key in keys]
-        lines.append(Line(label, names, found))
+        variances = [evidence[f"{key}{suffix}"]["variance_um2"] for key in keys]
+        lines.append(Line(label, names, variances))
     return (bars("scenario R", "variance in µm²", lines),)
 
 
 def _gains(evidence: Evidence) -> tuple[Chart, ...]:
-    def over(figure: str, label: str) -> tuple[Line, ...]:
-        found = [evidence[f"smc{gain}-r"][figure] for gain in GAINS]
-        asmc = evidence["asmc-mrac-caps-r"][figure]
+    def over(metric: str, label: str) -> tuple[Line, ...]:
+        row = [evidence[f"smc{gain}-r"][metric] for gain in GAINS]
+        asmc = evidence["asmc-mrac-caps-r"][metric]
         level = Line("ASMC+MRAC, capped", list(GAINS), [asmc] * len(GAINS))
-        return Line("SMC", list(GAINS), found), level
+        return Line("SMC", list(GAINS), row), level
 
     return tuple(
-        Chart(title=title, x="eps in rad/s²", y=unit, lines=over(figure, title), log_y=True)
-        for title, figure, unit in (
+        Chart(title=title, x="eps in rad/s²", y=unit, lines=over(metric, title), log_y=True)
+        for title, metric, unit in (
             ("chattering", "chattering_um", "amplitude in µm"),
             ("variance", "variance_um2", "variance in µm²"),
             ("heat of the motor", "motor_loss_W", "loss in W"),
@@ -153,10 +153,10 @@ def _switches(evidence: Evidence) -> tuple[Chart, ...]:
         bars(
             title,
             unit,
-            [of_cases(title, evidence, figure, cases)],
+            [of_cases(title, evidence, metric, cases)],
             log_y=True,
         )
-        for title, figure, unit in (
+        for title, metric, unit in (
             ("chattering of the error", "chattering_um", "amplitude in µm"),
             ("variance of the error", "variance_um2", "variance in µm²"),
             ("change of the command a period", "command_step_Nm", "mean in N m"),

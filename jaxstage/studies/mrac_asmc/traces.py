@@ -1,8 +1,8 @@
-"""Laws of the study as compositions that share a loop, and the figures of a run of one.
+"""Laws of the study as compositions that share a loop, and the metrics of a run of one.
 
 Each composition holds all that is varied; parts are switched off by their gains: adaptation and
 MRAC by zero rates, position feed-forward by a zero amplitude. So all variants of a law run as one
-batch. Every run stores the few signals that its figures need.
+batch. Every run stores the few signals that its metrics need.
 """
 
 import functools
@@ -142,7 +142,7 @@ def stepped(law: Composed, gains: Any, drives: Version, height: float, duration:
     )
 
 
-# --- figures ---------------------------------------------------------------------------------
+# --- metrics ---------------------------------------------------------------------------------
 
 
 def spectrum(error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +155,7 @@ def _within(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
     return (frequency >= band[0]) & (frequency < band[1])
 
 
-def window_figures(error: np.ndarray, command: np.ndarray) -> dict[str, float]:
+def window_metrics(error: np.ndarray, command: np.ndarray) -> dict[str, float]:
     """Figures of the drive's error in um and of the command in N m, (ticks,) each.
 
     The level of a band is the root mean square of the amplitudes in it.
@@ -183,30 +183,30 @@ def settling(error: np.ndarray) -> float | None:
     return None if after == len(error) else after * TIMING.dt
 
 
-def figures(rows: Mapping[str, np.ndarray], start: int, stop: int) -> dict[str, Any]:
-    """All figures of the ticks from start to stop; rows: one axis, (ticks,).
+def metrics(rows: Mapping[str, np.ndarray], start: int, stop: int) -> dict[str, Any]:
+    """All metrics of the ticks from start to stop; rows: one axis, (ticks,).
 
     With the time of settling, the share of |e| that points along the motion, the error when the
     run is all but over, and the adapted values in the rad units of the paper.
     """
     error = rows["error"] * 1e6
     part, velocity = error[start:stop], rows["velocity"][start:stop]
-    found: dict[str, Any] = window_figures(part, rows["command"][start:stop])
-    found["settled_s"] = settling(error)
-    found["along_motion"] = float((part * np.sign(velocity)).sum() / np.abs(part).sum())
-    found["late_um"] = float(abs(error[round(LATE / TIMING.dt)]))
+    measured: dict[str, Any] = window_metrics(part, rows["command"][start:stop])
+    measured["settled_s"] = settling(error)
+    measured["along_motion"] = float((part * np.sign(velocity)).sum() / np.abs(part).sum())
+    measured["late_um"] = float(abs(error[round(LATE / TIMING.dt)]))
     units = {"slope": 1.0, "gain": values.RATIO, "sharpness": 1 / values.RATIO}
     adapted = {name: rows[name] * unit for name, unit in units.items() if name in rows}
     for name, values_of in adapted.items():
-        found |= {
+        measured |= {
             f"{name}_{moment:g}_s": float(values_of[round(moment / TIMING.dt)])
             for moment in MOMENTS
         }
-        found[f"{name}_end"] = float(values_of[-1])
-    return found | {"trace": {"error_um": error, "command_Nm": rows["command"]} | adapted}
+        measured[f"{name}_end"] = float(values_of[-1])
+    return measured | {"trace": {"error_um": error, "command_Nm": rows["command"]} | adapted}
 
 
-def run_figures(cases: Mapping[str, Case], periods: Mapping[str, float]) -> dict[str, Any]:
+def run_metrics(cases: Mapping[str, Case], periods: Mapping[str, float]) -> dict[str, Any]:
     """Figures of every case by name, of t >= `SKIP`; those of a lost run are None.
 
     periods: cases judged over the second half of their first period, of that length in s.
@@ -218,10 +218,10 @@ def run_figures(cases: Mapping[str, Case], periods: Mapping[str, float]) -> dict
             stop = round(periods[name] / TIMING.dt)
             start = stop // 2
         rows = {key: np.asarray(row)[:, 0] for key, row in run.rows["trace"].items()}
-        found = figures(rows, start, stop) | {
+        measured = metrics(rows, start, stop) | {
             f"{part}_peak_um": float(run.report[part].drive_glitch_max[0]) * 1e6
             for part in ("start", "reversals")
         }
         lost = not np.isfinite(rows["error"]).all()
-        evidence[name] = dict.fromkeys(found, None) if lost else found
+        evidence[name] = dict.fromkeys(measured, None) if lost else measured
     return evidence

@@ -35,13 +35,13 @@ from jaxstage.plants import Lugre, TwoInertia
 
 #: control period in s, published (there called a frequency)
 DT = 0.48e-3
-#: plant steps a period (chosen: figures are within 1e-3 of those of far smaller steps)
+#: plant steps a period (chosen: metrics are within 1e-3 of those of far smaller steps)
 SUBSTEPS = 12
 #: angle per travel in rad/m (chosen, see above)
 RATIO = 1000.0
 #: the motion r = A (1 + cos(2 pi t/T)): 1 mm and 4 s, three times; published
 AMPLITUDE, PERIOD, DURATION = 1e-3, 4.0, 12.0
-#: figures cover t >= this, in s (chosen: the second and third period)
+#: metrics cover t >= this, in s (chosen: the second and third period)
 SKIP = 4.0
 #: time after a reversal in s that belongs to its peak (chosen: so slow a motion breaks away late)
 REVERSAL = 0.25
