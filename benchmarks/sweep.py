@@ -16,7 +16,7 @@ import numpy as np
 import jaxstage as js
 from jaxstage.system.runtime import cpu_cores
 from tuning.sweeps import store
-from tuning.sweeps.configuration import Request, batch_of, build, configure_sweep, drawn_values
+from tuning.sweeps.configuration import SweepRequest, batch_of, build, configure_sweep, drawn_values
 from tuning.sweeps.sweep import sweep
 
 from .memory import _forget_peak, _status
@@ -32,7 +32,7 @@ CHUNK = 1024
 
 
 def _request(loops: tuple[str, ...], runs: int, words: tuple[str, ...]) -> str:
-    return configure_sweep(Request(loops=loops, runs=runs, chunk=CHUNK, words=words))
+    return configure_sweep(SweepRequest(loops=loops, runs=runs, chunk=CHUNK, words=words))
 
 
 class Spent(NamedTuple):

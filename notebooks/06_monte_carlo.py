@@ -32,7 +32,7 @@ import matplotlib.pyplot as plt
 import jaxstage as js
 from tuning.sweeps import replays, store
 from tuning.sweeps.analysis import Question, analyse
-from tuning.sweeps.configuration import Request, build, configure_sweep
+from tuning.sweeps.configuration import SweepRequest, build, configure_sweep
 from tuning.sweeps.pictures import drawings
 from tuning.sweeps.sweep import sweep
 
@@ -52,7 +52,7 @@ TIMING = ("lap_time=1", "laps=1")
 # A scenario file of your own would take their place.
 
 # %%
-text = configure_sweep(Request(loops=LOOPS, runs=PLANTS, words=TIMING))
+text = configure_sweep(SweepRequest(loops=LOOPS, runs=PLANTS, words=TIMING))
 plan = build(text)
 for item in plan.spaces[0].uncertain:
     print(f"{item.path:22s} {item.distribution.low:.2f} to {item.distribution.high:.2f}")

@@ -238,7 +238,7 @@ def test_interrupted_while_jax_computes(tmp_path):
 
 
 def test_another_configuration_says_what_differs(tmp_path):
-    kind = folders.Kind("sweep.toml", "sweep", ("seed",))
+    kind = folders.FolderKind("sweep.toml", "sweep", ("seed",))
     folders.create(tmp_path / "new", kind, "seed = 0\n", resume=False)
     with pytest.raises(ValueError, match=r"of another configuration; seed: 0 -> 1$"):
         folders.create(tmp_path / "new", kind, "seed = 1\n", resume=True)

@@ -4,10 +4,10 @@ import functools
 from pathlib import Path
 
 from tuning.sweeps import store
-from tuning.sweeps.configuration import Request, build, configure_sweep
+from tuning.sweeps.configuration import SweepRequest, build, configure_sweep
 from tuning.sweeps.sweep import sweep
 
-REQUEST = Request(
+REQUEST = SweepRequest(
     loops=("pi-circle",), runs=18, chunk=3, words=("lap_time=0.2", "laps=1", "scored=0")
 )
 

@@ -6,7 +6,7 @@ import pytest
 import jaxstage as js
 from jaxstage.studies import known_studies
 from tests.helpers.commanding import command as command
-from tuning.sweeps.configuration import Request, build, configure_sweep
+from tuning.sweeps.configuration import SweepRequest, build, configure_sweep
 
 STUDY = """
 import jaxstage as js
@@ -83,7 +83,9 @@ def test_a_sweep_remembers_the_file(own):
     """Its spreads are those of the file; another file is refused when the sweep goes on."""
     file = own(STUDY)
     with jax.enable_x64(True):
-        text = configure_sweep(Request(loops=("mine",), runs=4, words=("lap_time=0.02", "laps=1")))
+        text = configure_sweep(
+            SweepRequest(loops=("mine",), runs=4, words=("lap_time=0.02", "laps=1"))
+        )
     plan = build(text)
     assert [item.path for item in plan.spaces[0].uncertain] == ["plant.mass"]
     file.write_text(STUDY + "\n# another one\n", encoding="utf-8")

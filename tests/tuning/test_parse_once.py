@@ -10,8 +10,7 @@ from tests.helpers.reads import counted
 from tuning.app.compare_command import other_gains
 from tuning.store.gains_file import read_gains
 from tuning.store.prepare import prepare
-from tuning.sweeps.configuration import Request as SweepRequest
-from tuning.sweeps.configuration import configure_sweep
+from tuning.sweeps.configuration import SweepRequest, configure_sweep
 from tuning.tuner.configuration import TuningRequest, configure_tuning
 from tuning.uncertainty.scenario_file import read_scenario
 

@@ -15,7 +15,7 @@ from tuning.uncertainty.statistics import (
     SHOWN,
     bootstrap,
     claim,
-    figures,
+    metric_statistics,
     paired,
     percentile,
     share,
@@ -70,7 +70,7 @@ TRUE = {
 def log_normal():
     """Statistics of many small sweeps whose figure is log-normal."""
     source = np.random.default_rng(1)
-    return [figures(np.exp(SIGMA * source.standard_normal(RUNS))) for _ in range(REPEATS)]
+    return [metric_statistics(np.exp(SIGMA * source.standard_normal(RUNS))) for _ in range(REPEATS)]
 
 
 @pytest.mark.parametrize(
@@ -90,13 +90,13 @@ def test_intervals_cover_the_truth(log_normal, name, least):
 @pytest.mark.fast
 def test_too_few_runs_are_said_aloud():
     values = np.random.default_rng(0).random(150)
-    found = figures(values)
+    found = metric_statistics(values)
     assert found.p95 is None and found.reasons["p95"] == "not enough samples: needs 200 runs"
     assert found.cvar95 is None and found.reasons["cvar95"].endswith("needs 1000 runs")
     assert found.mean and found.p50
-    few = figures(values[:10])
+    few = metric_statistics(values[:10])
     assert few.p50 is None and "needs 20 runs" in few.reasons["p50"]
-    one = figures(values[:1])
+    one = metric_statistics(values[:1])
     assert one.mean is None and "1 of 1 runs have a figure" in one.reasons["mean"]
 
 
@@ -104,17 +104,17 @@ def test_too_few_runs_are_said_aloud():
 def test_lost_runs_count_as_worst():
     values = np.random.default_rng(0).random(1000)
     values[:30] = np.nan
-    found = figures(values)
+    found = metric_statistics(values)
     everything = np.where(np.isnan(values), np.inf, values)
     assert found.p95.value == np.percentile(everything, 95, method="higher")
     assert found.mean.value == pytest.approx(np.nanmean(values))
     assert found.cvar95 is None and "30 of 1000 runs" in found.reasons["cvar95"]
     values[:49] = np.nan
-    near = figures(values)
+    near = metric_statistics(values)
     assert math.isfinite(near.p95.value) and near.p95.high == math.inf
     values[:60] = np.nan
-    assert figures(values).p95 is None and figures(values).p50 is not None
-    lost = figures(np.full(300, np.nan))
+    assert metric_statistics(values).p95 is None and metric_statistics(values).p50 is not None
+    lost = metric_statistics(np.full(300, np.nan))
     assert lost[:4] == (None,) * 4
 
 

@@ -27,7 +27,7 @@ from tuning.sweeps.cluster import _told, local_workers, scheduler_at
 from tuning.sweeps.configuration import build, drawn_values
 from tuning.sweeps.summary import as_object
 from tuning.sweeps.sweep import sweep
-from tuning.uncertainty.figure_table import parameter_columns
+from tuning.uncertainty.metric_table import parameter_columns
 from tuning.uncertainty.uncertain_space import study_spreads
 
 

@@ -96,7 +96,7 @@ def sweep(
         for loop in loops or []:
             single_runs.refuse_rough(loop)
     text = taken or configuration.configure_sweep(
-        configuration.Request(
+        configuration.SweepRequest(
             loops=tuple(loops or ()), runs=runs, design=design, seed=seed, chunk=chunk,
             precision=precision, words=tuple(set_ or ()), gains=_gains(loops or [], gains or []),
             scenario=scenario,
@@ -163,8 +163,8 @@ def _simulate(
 ) -> dict[str, Any]:
     """Run what is missing, with a bar on standard error; returns how many runs that was."""
     from jaxstage.system.files import goes_on
+    from tuning.app.sweep_display import bar
     from tuning.sweeps import store
-    from tuning.sweeps.display import bar
     from tuning.sweeps.sweep import sweep as run_sweep
 
     total, begin = plan.table["runs"] * len(plan.cases), time.perf_counter()
@@ -181,7 +181,7 @@ def _simulate(
 
 def _tell(found: Any, out: Path, as_json: bool, extra: dict[str, Any]) -> None:
     from jaxstage.system.files import write_text
-    from tuning.sweeps.display import show
+    from tuning.app.sweep_display import show
     from tuning.sweeps.pictures import pictures
     from tuning.sweeps.summary import as_object
 
@@ -231,6 +231,6 @@ def replay(
     if as_json:
         print(json.dumps({"sweep": str(folder), "runs": found}, indent=2, allow_nan=False))
         return
-    from tuning.sweeps.display import show_replayed
+    from tuning.app.sweep_display import show_replayed
 
     show_replayed(found, out)

@@ -17,7 +17,7 @@ from jaxstage.system.files import write_text
 SHOWN = 5
 
 
-class Kind(NamedTuple):
+class FolderKind(NamedTuple):
     """What a folder holds. file: of its configuration. noun: what it is called. keys: what every
     such configuration has."""
 
@@ -26,7 +26,7 @@ class Kind(NamedTuple):
     keys: tuple[str, ...]
 
 
-def create(folder: Path, kind: Kind, text: str, resume: bool) -> None:
+def create(folder: Path, kind: FolderKind, text: str, resume: bool) -> None:
     """Make the folder, or take one that holds the same work when ``resume``.
 
     Raises ValueError for a folder that holds something else, another configuration (with what
@@ -50,7 +50,7 @@ def create(folder: Path, kind: Kind, text: str, resume: bool) -> None:
         raise ValueError(f"{folder} holds this {kind.noun} already: --resume goes on with it")
 
 
-def read_configuration(folder: Path, kind: Kind) -> str:
+def read_configuration(folder: Path, kind: FolderKind) -> str:
     """The configuration of a folder. Raises ValueError where there is none, or a foreign one."""
     file = folder / kind.file
     if not folder.exists():
@@ -69,7 +69,7 @@ def read_configuration(folder: Path, kind: Kind) -> str:
 
 
 @contextmanager
-def locked(folder: Path, kind: Kind, doing: str) -> Iterator[None]:
+def locked(folder: Path, kind: FolderKind, doing: str) -> Iterator[None]:
     """Keep other processes out of the folder. Raises ValueError where one is at work.
 
     doing: what that one does, e.g. "sweeping".

@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from jaxstage.model.settings import nearest_name
 from tuning.sweeps import store
-from tuning.sweeps.configuration import Plan
+from tuning.sweeps.configuration import SweepPlan
 from tuning.sweeps.sensitivity import (
     Indices,
     Tornado,
@@ -20,15 +20,15 @@ from tuning.sweeps.sensitivity import (
     tornado,
 )
 from tuning.uncertainty.designs import DESIGNS
-from tuning.uncertainty.figure_table import figure_names
+from tuning.uncertainty.metric_table import metric_names
 from tuning.uncertainty.specification import Specification, parse
 from tuning.uncertainty.statistics import (
-    Claim,
-    Comparison,
-    Figures,
+    MetricStatistics,
+    PairedComparison,
     Share,
+    YieldClaim,
     claim,
-    figures,
+    metric_statistics,
     paired,
     share,
 )
@@ -61,8 +61,8 @@ class LoopResult(NamedTuple):
     sampled: np.ndarray
     lost: int
     met: Share | None
-    claim: Claim | None
-    figures: Figures | None
+    claim: YieldClaim | None
+    statistics: MetricStatistics | None
     correlations: dict[str, float | None]
     indices: Indices | None
     tornado: Tornado | None
@@ -73,15 +73,15 @@ class LoopResult(NamedTuple):
 class Analysis(NamedTuple):
     """Answers about a sweep. metric: the figure that was judged."""
 
-    plan: Plan
+    plan: SweepPlan
     metric: str
     spec: Specification | None
     loops: tuple[LoopResult, ...]
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[PairedComparison, ...]
     notes: tuple[str, ...]
 
 
-def usable_columns(plan: Plan) -> dict[str, type]:
+def usable_columns(plan: SweepPlan) -> dict[str, type]:
     """What a specification may use: columns of the rows of every loop, name -> float or bool.
 
     Known before anything has run. The time at which a run was lost is not among them: complete
@@ -90,18 +90,18 @@ def usable_columns(plan: Plan) -> dict[str, type]:
     kinds: list[dict[str, type]] = []
     for case, space in zip(plan.cases, plan.spaces, strict=True):
         parameters = dict.fromkeys((c for item in space.uncertain for c in item.columns), float)
-        figures = dict.fromkeys(figure_names(case), float)
+        figures = dict.fromkeys(metric_names(case), float)
         kinds.append({"run": float} | parameters | figures | {"finite": bool})
     return {name: kind for name, kind in kinds[0].items() if all(name in k for k in kinds)}
 
 
-def choose_metric(plan: Plan, spec: Specification | None, name: str | None) -> str:
+def choose_metric(plan: SweepPlan, spec: Specification | None, name: str | None) -> str:
     """The figure to judge: as asked, or the first that the specification limits, or a usual one.
 
     Raises ValueError for an unknown one.
     """
     columns = usable_columns(plan)
-    known = [n for n in figure_names(plan.cases[0]) if n in columns]
+    known = [n for n in metric_names(plan.cases[0]) if n in columns]
     if name is not None:
         if name not in known:
             raise ValueError(f"--metric {name}: no such figure{nearest_name(name, known)}")
@@ -113,7 +113,7 @@ def choose_metric(plan: Plan, spec: Specification | None, name: str | None) -> s
     raise ValueError("--metric: name the figure to judge")
 
 
-def understood(plan: Plan, question: Question) -> tuple[Specification | None, str]:
+def understood(plan: SweepPlan, question: Question) -> tuple[Specification | None, str]:
     """The specification and the figure to judge. Raises ValueError in one line."""
     spec = parse(question.spec, usable_columns(plan)) if question.spec is not None else None
     if question.target is not None:
@@ -123,7 +123,7 @@ def understood(plan: Plan, question: Question) -> tuple[Specification | None, st
     return spec, choose_metric(plan, spec, question.metric)
 
 
-def analyse(folder: Path, plan: Plan, question: Question) -> Analysis:
+def analyse(folder: Path, plan: SweepPlan, question: Question) -> Analysis:
     """Answer a question about a finished sweep. Raises ValueError in one line."""
     spec, metric = understood(plan, question)
     todo = store.missing(folder, plan)
@@ -146,7 +146,7 @@ def analyse(folder: Path, plan: Plan, question: Question) -> Analysis:
 
 
 def _loop_result(
-    plan: Plan, loop: int, columns: dict[str, np.ndarray], metric: str,
+    plan: SweepPlan, loop: int, columns: dict[str, np.ndarray], metric: str,
     spec: Specification | None, question: Question,
 ) -> LoopResult:  # fmt: skip
     space, design = plan.spaces[loop], DESIGNS[plan.table["design"]]
@@ -168,7 +168,7 @@ def _loop_result(
         lost=int((~columns["finite"]).sum()),
         met=met,
         claim=judged,
-        figures=figures(values[sampled]) if sampled.any() else None,
+        statistics=metric_statistics(values[sampled]) if sampled.any() else None,
         correlations={
             column: rank_correlation(columns[column], values)
             for item in space.uncertain
@@ -186,7 +186,7 @@ def _loop_result(
 
 
 def _effects(
-    plan: Plan, loop: int, values: np.ndarray, metric: str, question: Question
+    plan: SweepPlan, loop: int, values: np.ndarray, metric: str, question: Question
 ) -> tuple[Indices | None, Tornado | None, tuple[str, ...]]:
     """Sobol indices and tornado where asked for, and notes: what cannot be had must not cost the
     other answers."""
@@ -212,7 +212,9 @@ def _effects(
     return indices, slopes, tuple(f"{name}: {note}" for note in notes)
 
 
-def _compare(a: LoopResult, b: LoopResult, metric: str, parameters: list[str]) -> Comparison | None:
+def _compare(
+    a: LoopResult, b: LoopResult, metric: str, parameters: list[str]
+) -> PairedComparison | None:
     """None where the loops did not meet the same plants, or no rows are a sample."""
     same = all(np.array_equal(a.columns[name], b.columns[name]) for name in parameters)
     if not same or not a.sampled.any():
@@ -220,7 +222,7 @@ def _compare(a: LoopResult, b: LoopResult, metric: str, parameters: list[str]) -
     return paired(a.name, a.columns[metric][a.sampled], b.name, b.columns[metric][b.sampled])
 
 
-def _notes(plan: Plan, unpaired: bool) -> tuple[str, ...]:
+def _notes(plan: SweepPlan, unpaired: bool) -> tuple[str, ...]:
     design, runs = plan.table["design"], plan.table["runs"]
     notes = []
     if design == "corners":
@@ -240,7 +242,7 @@ def _notes(plan: Plan, unpaired: bool) -> tuple[str, ...]:
 
 
 def worst(
-    folder: Path, plan: Plan, metric: str, count: int, loop: str | None = None
+    folder: Path, plan: SweepPlan, metric: str, count: int, loop: str | None = None
 ) -> list[dict[str, Any]]:
     """The worst rows that are there: lost runs first, the earliest before all, then by figure."""
     table = store.read(folder, plan, ["loop", "run", metric, "lost_at_s"])

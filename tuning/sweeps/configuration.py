@@ -42,7 +42,7 @@ from tuning.uncertainty.uncertain_space import (
 _BLOCK = 65536
 
 
-class Request(NamedTuple):
+class SweepRequest(NamedTuple):
     """What the user asked for. gains: loop -> TOML file; chunk: most runs of a file of results."""
 
     loops: tuple[str, ...]
@@ -56,7 +56,7 @@ class Request(NamedTuple):
     scenario: Path | None = None
 
 
-class Plan(NamedTuple):
+class SweepPlan(NamedTuple):
     """A configuration, built. cases, spaces: one a loop. chunks: files a loop; size: runs of one,
     the last one less."""
 
@@ -73,7 +73,7 @@ class Plan(NamedTuple):
         return loop, part * self.size, min((part + 1) * self.size, self.table["runs"])
 
 
-def configure_sweep(request: Request) -> str:
+def configure_sweep(request: SweepRequest) -> str:
     """The configuration as text, everything in it checked, all draws included.
 
     Raises ValueError in one line for anything unknown, impossible or out of range.
@@ -95,7 +95,7 @@ def configure_sweep(request: Request) -> str:
     return text
 
 
-def _table(request: Request) -> dict[str, Any]:
+def _table(request: SweepRequest) -> dict[str, Any]:
     scenario = read_scenario(request.scenario)
     spreads = scenario.spreads or study_spreads(find(request.loops[0]).name)
     gains = {loop: read_gains(file) for loop, file in request.gains.items()}
@@ -136,7 +136,7 @@ def _check_space(case: Case, spreads: Sequence[Mapping[str, Any]], scenario: Sce
 
 
 @functools.lru_cache(maxsize=4)
-def build(text: str) -> Plan:
+def build(text: str) -> SweepPlan:
     """The plan of a configuration, in the precision it asks for; the identical one again for equal
     text, so that nothing is compiled twice. Raises ValueError for one of another version."""
     table = tomllib.loads(text)
@@ -154,7 +154,7 @@ def build(text: str) -> Plan:
     )
     _check_design(table, spaces)
     chunks = math.ceil(table["runs"] / table["chunk"])
-    return Plan(text, table, cases, spaces, chunks, math.ceil(table["runs"] / chunks))
+    return SweepPlan(text, table, cases, spaces, chunks, math.ceil(table["runs"] / chunks))
 
 
 def _check_design(table: Mapping[str, Any], spaces: tuple[Space, ...]) -> None:
@@ -169,7 +169,7 @@ def _check_design(table: Mapping[str, Any], spaces: tuple[Space, ...]) -> None:
     design.allowed(table["runs"], dimensions)
 
 
-def _check_draws(plan: Plan) -> None:
+def _check_draws(plan: SweepPlan) -> None:
     """Refuse a sweep that would meet an impossible value: every draw is checked."""
     runs = plan.table["runs"]
     for loop in range(len(plan.cases)):
@@ -184,13 +184,15 @@ def _check_draws(plan: Plan) -> None:
                 raise ValueError(f"{told} (a draw: bound the spread with low and high)") from None
 
 
-def drawn_values(plan: Plan, loop: int, start: int, stop: int) -> dict[str, np.ndarray]:
+def drawn_values(plan: SweepPlan, loop: int, start: int, stop: int) -> dict[str, np.ndarray]:
     """Uncertain values of runs start..stop-1 of a loop: path -> (stop - start, *shape), SI."""
     table = plan.table
     return draw(plan.spaces[loop], table["design"], table["seed"], table["runs"], start, stop)
 
 
-def batch_of(plan: Plan, loop: int, runs: np.ndarray, values: Mapping[str, np.ndarray]) -> Batch:
+def batch_of(
+    plan: SweepPlan, loop: int, runs: np.ndarray, values: Mapping[str, np.ndarray]
+) -> Batch:
     """Runs of a loop by number, with their values, ready for `rollouts`."""
     seeds = np.array([run_seed(plan.table["seed"], int(run)) for run in runs], np.uint32)
     return batch(plan.cases[loop], values, seeds)

@@ -10,8 +10,7 @@ from jaxstage.metrics.table import split_key
 from jaxstage.plot import save, sweep
 from tuning.store.work_folder import digest
 from tuning.sweeps.analysis import Analysis, LoopResult
-from tuning.sweeps.display import share_text
-from tuning.uncertainty.statistics import Comparison
+from tuning.uncertainty.statistics import PairedComparison
 
 
 def pictures(found: Analysis, folder: Path) -> list[Path]:
@@ -87,7 +86,7 @@ def _sheet(found: Analysis) -> sweep.Sheet:
 def _sample(loop: LoopResult, metric: str) -> sweep.Sample:
     met = loop.met
     interval = (met.value, met.low, met.high) if met else None
-    text = f"yield {share_text(met)}" if met else ""
+    text = f"yield {met.text()}" if met else ""
     return sweep.Sample(loop.name, np.asarray(loop.columns[metric]), loop.passed, text, interval)
 
 
@@ -100,7 +99,7 @@ def _by_chance(sample: sweep.Sample, loop: LoopResult) -> sweep.Sample:
     return sample._replace(values=sample.values[rows], passed=passed)
 
 
-def _words(c: Comparison, metric: str) -> str:
+def _words(c: PairedComparison, metric: str) -> str:
     unit = split_key(metric)[1].replace("um", "µm")
     gap = ""
     if c.difference is not None:
@@ -110,5 +109,5 @@ def _words(c: Comparison, metric: str) -> str:
         gap = f"Mean difference {d.value:.4g} {unit} {interval}{both}. "
     return (
         f"Each dot is one plant under both laws. {gap}{c.first} is the smaller one on "
-        f"{share_text(c.better)} of the plants; a lost run is larger than any other."
+        f"{c.better.text()} of the plants; a lost run is larger than any other."
     )

@@ -18,10 +18,10 @@ from jaxstage.system.files import write_text
 from tuning.store.prepare import Prepared, execute
 from tuning.sweeps import store
 from tuning.sweeps.analysis import choose_metric, worst
-from tuning.sweeps.configuration import Plan, drawn_values
+from tuning.sweeps.configuration import SweepPlan, drawn_values
 from tuning.sweeps.sweep import simulate_rows
 from tuning.uncertainty.case_table import with_values
-from tuning.uncertainty.figure_table import FLAGS
+from tuning.uncertainty.metric_table import FLAGS
 from tuning.uncertainty.uncertain_space import run_seed
 
 #: a replay is filled up to so many lanes, so that all of them share one program
@@ -39,7 +39,7 @@ def stored_devices(folder: Path) -> int:
 
 
 def choose(
-    folder: Path, plan: Plan, run: int | None, worst_of: int | None, loop: str | None,
+    folder: Path, plan: SweepPlan, run: int | None, worst_of: int | None, loop: str | None,
     metric: str | None,
 ) -> list[tuple[int, list[int]]]:  # fmt: skip
     """Which runs: (loop, numbers) each. Raises ValueError for an unknown loop or count."""
@@ -59,7 +59,7 @@ def choose(
     return list(chosen.items())
 
 
-def replay(folder: Path, plan: Plan, loop: int, runs: Sequence[int]) -> list[dict[str, Any]]:
+def replay(folder: Path, plan: SweepPlan, loop: int, runs: Sequence[int]) -> list[dict[str, Any]]:
     """Simulate some runs of a loop again.
 
     An object each: parameters and figures as columns, what became of the run, and whether they
@@ -82,7 +82,9 @@ def replay(folder: Path, plan: Plan, loop: int, runs: Sequence[int]) -> list[dic
     ]
 
 
-def _stored(folder: Path, plan: Plan, loop: int, run: int) -> tuple[dict[str, Any], int] | None:
+def _stored(
+    folder: Path, plan: SweepPlan, loop: int, run: int
+) -> tuple[dict[str, Any], int] | None:
     """The row of a run and the devices that it was computed on."""
     index = loop * plan.chunks + run // plan.size
     if not store.is_whole(folder, plan, index):
@@ -93,7 +95,7 @@ def _stored(folder: Path, plan: Plan, loop: int, run: int) -> tuple[dict[str, An
 
 
 def _object(
-    plan: Plan, loop: int, run: int, columns: dict[str, Any],
+    plan: SweepPlan, loop: int, run: int, columns: dict[str, Any],
     stored: tuple[dict[str, Any], int] | None,
 ) -> dict[str, Any]:  # fmt: skip
     plain = {name: _plain(name, value) for name, value in columns.items()}
@@ -130,7 +132,7 @@ def _largest_difference(now: dict[str, Any], then: dict[str, Any]) -> float | No
     return largest
 
 
-def machine(plan: Plan, loop: int, run: int) -> Case:
+def machine(plan: SweepPlan, loop: int, run: int) -> Case:
     """The case of one run: its plant, its random key."""
     case = plan.cases[loop]
     with jax.enable_x64(plan.table["precision"] == "double"):
@@ -140,7 +142,7 @@ def machine(plan: Plan, loop: int, run: int) -> Case:
         return case._replace(scenario=replace(case.scenario, key=key))
 
 
-def draw_run(plan: Plan, loop: int, run: int, folder: Path) -> None:
+def draw_run(plan: SweepPlan, loop: int, run: int, folder: Path) -> None:
     """Write pictures, run.json, gains.toml and scenario.toml of a run, as `jaxstage run` does."""
     case = machine(plan, loop, run)
     with jax.enable_x64(plan.table["precision"] == "double"):

@@ -124,7 +124,7 @@ class Tornado(NamedTuple):
 def tornado(case: Case, space: Space, column: str) -> Tornado:
     """The effect of each uncertain number on a figure, from one run in reverse mode.
 
-    column: a figure as `rows.figure_columns` names it. Raises ValueError where the nominal run is
+    column: a figure as `rows.metric_columns` names it. Raises ValueError where the nominal run is
     lost, and where no slope is finite.
     """
     items = [item for item in space.uncertain if _has_slope(item)]

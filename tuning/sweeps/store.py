@@ -17,9 +17,9 @@ import pyarrow.parquet as pq
 from jaxstage.system.files import write_whole
 from tuning.store import work_folder as folders
 from tuning.store.work_folder import digest
-from tuning.sweeps.configuration import Plan
+from tuning.sweeps.configuration import SweepPlan
 
-KIND = folders.Kind("sweep.toml", "sweep", ("jaxstage", "precision", "runs", "loop"))
+KIND = folders.FolderKind("sweep.toml", "sweep", ("jaxstage", "precision", "runs", "loop"))
 RUNS = "runs"
 
 
@@ -42,19 +42,19 @@ def locked(folder: Path) -> AbstractContextManager[None]:
     return folders.locked(folder, KIND, "sweeping")
 
 
-def chunk_file(folder: Path, plan: Plan, index: int) -> Path:
+def chunk_file(folder: Path, plan: SweepPlan, index: int) -> Path:
     """Where a chunk stands."""
     loop, part = divmod(index, plan.chunks)
     return folder / RUNS / plan.table["loop"][loop]["name"] / f"{part:05d}.parquet"
 
 
-def missing(folder: Path, plan: Plan) -> list[int]:
+def missing(folder: Path, plan: SweepPlan) -> list[int]:
     """The chunks that are not there, or not whole, or of another configuration."""
     every = range(plan.chunks * len(plan.cases))
     return [index for index in every if not is_whole(folder, plan, index)]
 
 
-def is_whole(folder: Path, plan: Plan, index: int) -> bool:
+def is_whole(folder: Path, plan: SweepPlan, index: int) -> bool:
     """Whether a chunk is there with all its rows, of this configuration."""
     _, start, stop = plan.place(index)
     try:
@@ -65,7 +65,7 @@ def is_whole(folder: Path, plan: Plan, index: int) -> bool:
     return same and found.num_rows == stop - start
 
 
-def write(folder: Path, plan: Plan, index: int, rows: pa.Table) -> None:
+def write(folder: Path, plan: SweepPlan, index: int, rows: pa.Table) -> None:
     """Keep a chunk."""
     data = pa.BufferOutputStream()
     pq.write_table(rows, data, compression="zstd")
@@ -74,14 +74,14 @@ def write(folder: Path, plan: Plan, index: int, rows: pa.Table) -> None:
     write_whole(file, data.getvalue().to_pybytes())
 
 
-def present(folder: Path, plan: Plan) -> list[Path]:
+def present(folder: Path, plan: SweepPlan) -> list[Path]:
     """The files of the chunks that are there, by loop and run."""
     gone = set(missing(folder, plan))
     every = range(plan.chunks * len(plan.cases))
     return [chunk_file(folder, plan, index) for index in every if index not in gone]
 
 
-def read(folder: Path, plan: Plan, columns: Sequence[str] | None = None) -> pa.Table:
+def read(folder: Path, plan: SweepPlan, columns: Sequence[str] | None = None) -> pa.Table:
     """The rows of all chunks that are there, by loop and run. columns: only these.
 
     Raises ValueError where there are none.

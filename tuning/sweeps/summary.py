@@ -41,7 +41,7 @@ def as_object(found: Analysis, folder: Path) -> dict[str, Any]:
 
 
 def _loop_object(loop: LoopResult) -> dict[str, Any]:
-    stated = loop.figures
+    stated = loop.statistics
     names = ("mean", "p50", "p95", "cvar95")
     return {
         "loop": loop.name,

@@ -21,8 +21,8 @@ from jaxstage.simulate.batch import rollouts
 from jaxstage.system.runtime import configure, cpu_cores, processor
 from tuning.store.work_folder import digest
 from tuning.sweeps import store
-from tuning.sweeps.configuration import Plan, batch_of, build, drawn_values
-from tuning.uncertainty.figure_table import figure_columns, flag_columns, parameter_columns
+from tuning.sweeps.configuration import SweepPlan, batch_of, build, drawn_values
+from tuning.uncertainty.metric_table import flag_columns, metric_columns, parameter_columns
 
 #: bytes that the results of one chunk may take before it is refused
 CHUNK_MEMORY = 2e9
@@ -44,7 +44,7 @@ def run_chunk(text: str, index: int, cores: int | None = None) -> pa.Table:
     return chunk_rows(build(text), index)
 
 
-def chunk_rows(plan: Plan, index: int) -> pa.Table:
+def chunk_rows(plan: SweepPlan, index: int) -> pa.Table:
     """The rows of a chunk. It is filled up with its last run, so that all share one program."""
     loop, start, stop = plan.place(index)
     runs = np.arange(start, stop)
@@ -54,7 +54,7 @@ def chunk_rows(plan: Plan, index: int) -> pa.Table:
 
 
 def simulate_rows(
-    plan: Plan,
+    plan: SweepPlan,
     loop: int,
     runs: np.ndarray,
     values: dict[str, np.ndarray],
@@ -74,12 +74,14 @@ def simulate_rows(
             in_axes=batch.in_axes, memory=CHUNK_MEMORY, devices=devices,
         )  # fmt: skip
         flags = flag_columns(run, case.loop.dt)
-        figures = figure_columns(run.report, case.loop.plant)
+        figures = metric_columns(run.report, case.loop.plant)
     simulated = {name: column[: len(runs)] for name, column in {**figures, **flags}.items()}
     return parameter_columns(plan.spaces[loop].uncertain, values) | simulated
 
 
-def _table(plan: Plan, loop: int, runs: np.ndarray, columns: dict[str, np.ndarray]) -> pa.Table:
+def _table(
+    plan: SweepPlan, loop: int, runs: np.ndarray, columns: dict[str, np.ndarray]
+) -> pa.Table:
     name = plan.table["loop"][loop]["name"]
     arrays = {"loop": pa.array([name] * len(runs)).dictionary_encode(), "run": pa.array(runs)}
     for key, column in columns.items():
@@ -88,7 +90,7 @@ def _table(plan: Plan, loop: int, runs: np.ndarray, columns: dict[str, np.ndarra
     return pa.table(arrays).replace_schema_metadata(_metadata(plan))
 
 
-def _metadata(plan: Plan) -> dict[str, str]:
+def _metadata(plan: SweepPlan) -> dict[str, str]:
     """What computed these rows. ``devices`` may change the last digits, see `rollouts`."""
     return {
         "configuration": plan.text,
@@ -105,7 +107,7 @@ def _metadata(plan: Plan) -> dict[str, str]:
     }
 
 
-class Progress(NamedTuple):
+class SweepProgress(NamedTuple):
     """How far a sweep is. written: rows of the chunk that has just been kept."""
 
     done: int
@@ -117,7 +119,7 @@ def sweep(
     text: str,
     folder: Path,
     executor: Executor | None = None,
-    watch: Callable[[Progress], None] = lambda progress: None,
+    watch: Callable[[SweepProgress], None] = lambda progress: None,
     cores: int | None = None,
 ) -> int:
     """Run what is missing of a sweep in a folder made by `store.create`; returns how many runs.
@@ -141,7 +143,7 @@ def sweep(
             for table in _each_done(futures):
                 store.write(folder, plan, table.index, table.rows)
                 done += table.rows.num_rows
-                watch(Progress(done, total, table.rows))
+                watch(SweepProgress(done, total, table.rows))
         finally:
             for future in futures:
                 future.cancel()

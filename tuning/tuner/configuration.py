@@ -19,7 +19,7 @@ from jaxstage.model.settings import nearest_name, plain_toml
 from jaxstage.studies import Case
 from tuning.store.gains_file import read_gains
 from tuning.store.prepare import prepare
-from tuning.store.work_folder import Kind
+from tuning.store.work_folder import FolderKind
 from tuning.tuner.options import (
     default_objective,
     parse_gains,
@@ -47,7 +47,7 @@ from tuning.tuner.search.optimise import AMONG, METHODS, least_budget
 from tuning.uncertainty.case_table import case_of, case_table
 from tuning.uncertainty.scenario_file import read_scenario
 
-KIND = Kind("tune.toml", "tuning", ("jaxstage", "loop"))
+KIND = FolderKind("tune.toml", "tuning", ("jaxstage", "loop"))
 #: plants among which the worst are looked for
 POOL = 64
 #: other plants that gains must hold before they are judged on the held-out ones

@@ -39,7 +39,7 @@ from tuning.tuner.problem.problem import Evaluation, Problem, RunGroup, evaluate
 from tuning.tuner.problem.scenario_set import RunSet, run_sets
 from tuning.tuner.problem.surrogate import NONE
 from tuning.tuner.search.optimise import METHODS, SearchProgress, SearchResult, tune
-from tuning.uncertainty.figure_table import figure_names
+from tuning.uncertainty.metric_table import metric_names
 
 #: how far gains may go from those before to those found; nearer ones where tests refuse the end
 SHARES = (1.0, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2)
@@ -293,7 +293,7 @@ def missed_goals(problem: Problem, found: Evaluation, index: int) -> tuple[str, 
 
 def held_out_metric(plan: TuningPlan) -> str:
     """What held-out runs are judged by: the figure of the objective where `jaxstage run` has it."""
-    columns = dict.fromkeys(figure_names(plan.case))
+    columns = dict.fromkeys(metric_names(plan.case))
     axes = plan.case.loop.plant.axes
     return next(n for n in (plan.metric, *USUAL) if has_column(columns, n, axes))
 

@@ -35,6 +35,10 @@ class Share(NamedTuple):
     low: float
     high: float
 
+    def text(self) -> str:
+        """In per cent, with the interval."""
+        return f"{self.value:.2%} ({self.low:.2%}..{self.high:.2%})"
+
 
 def share(count: int, of: int, confidence: float = CONFIDENCE) -> Share:
     """count of ``of`` runs; the interval covers the true probability at least so often."""
@@ -44,7 +48,7 @@ def share(count: int, of: int, confidence: float = CONFIDENCE) -> Share:
     return Share(count, of, count / of, float(found.low), float(found.high))
 
 
-class Claim(NamedTuple):
+class YieldClaim(NamedTuple):
     """Whether a share of at least ``target`` is shown, refuted, or open. needed: runs that would
     decide it if the share stays as it is, None where no number would."""
 
@@ -52,19 +56,24 @@ class Claim(NamedTuple):
     verdict: str
     needed: int | None
 
+    def text(self) -> str:
+        """The verdict, and how many runs would decide where it is open."""
+        needed = f": about {self.needed} runs would decide it" if self.needed else ""
+        return f"{self.verdict}{needed}"
+
 
 SHOWN, REFUTED, OPEN = "shown", "refuted", "not enough samples"
 
 
-def claim(found: Share, target: float, confidence: float = CONFIDENCE) -> Claim:
+def claim(found: Share, target: float, confidence: float = CONFIDENCE) -> YieldClaim:
     """Judge the claim that the true share is at least ``target``, in (0, 1)."""
     if not 0 < target < 1:
         raise ValueError(f"--target {target:g}: must be > 0 and < 1")
     if found.low >= target:
-        return Claim(target, SHOWN, None)
+        return YieldClaim(target, SHOWN, None)
     if found.high < target:
-        return Claim(target, REFUTED, None)
-    return Claim(target, OPEN, _needed(found, target, confidence))
+        return YieldClaim(target, REFUTED, None)
+    return YieldClaim(target, OPEN, _needed(found, target, confidence))
 
 
 def _needed(found: Share, target: float, confidence: float) -> int | None:
@@ -117,7 +126,7 @@ def bootstrap(
     return Interval(float(statistic(values)), float(found.low), float(found.high))
 
 
-class Figures(NamedTuple):
+class MetricStatistics(NamedTuple):
     """Statistics of one figure. An entry is None where it cannot be said; ``reasons`` says why.
 
     mean: of the runs that were not lost. p50, p95: lost runs count as worst. cvar95: mean of the
@@ -131,7 +140,7 @@ class Figures(NamedTuple):
     reasons: dict[str, str]
 
 
-def figures(values: np.ndarray) -> Figures:
+def metric_statistics(values: np.ndarray) -> MetricStatistics:
     """Statistics of a figure, (n,), NaN where a run was lost."""
     ranked = np.where(np.isnan(values), np.inf, values)
     complete = values[np.isfinite(values)]
@@ -156,7 +165,7 @@ def figures(values: np.ndarray) -> Figures:
         reasons["cvar95"] = f"{lost} of {runs} runs, the worst, have no figure"
     none = lost or refused("cvar95", 0.05, TAIL_OF_CVAR)
     cvar95 = None if none else bootstrap(values, worst_mean)
-    return Figures(mean, p50, p95, cvar95, reasons)
+    return MetricStatistics(mean, p50, p95, cvar95, reasons)
 
 
 def _ranked(ranked: np.ndarray, level: float) -> Interval:
@@ -166,7 +175,7 @@ def _ranked(ranked: np.ndarray, level: float) -> Interval:
     return Interval(*(math.inf if x > largest else x for x in found))
 
 
-class Comparison(NamedTuple):
+class PairedComparison(NamedTuple):
     """Two controllers on the same plants. difference: of their figures, first minus second, mean
     over the ``survived`` plants, which neither lost. better: share of plants on which the first has
     the smaller figure, a lost run losing to any other; plants on which both are lost count for
@@ -180,10 +189,10 @@ class Comparison(NamedTuple):
     better: Share
 
 
-def paired(first: str, a: np.ndarray, second: str, b: np.ndarray) -> Comparison:
+def paired(first: str, a: np.ndarray, second: str, b: np.ndarray) -> PairedComparison:
     """Compare two figures run by run, (n,) each, NaN where lost."""
     both = np.isfinite(a) & np.isfinite(b)
     gap = (a - b)[both]
     better = int(np.sum(np.where(np.isnan(a), np.inf, a) < np.where(np.isnan(b), np.inf, b)))
     difference = bootstrap(gap, np.mean) if len(gap) > 1 else None
-    return Comparison(first, second, len(a), len(gap), difference, share(better, len(a)))
+    return PairedComparison(first, second, len(a), len(gap), difference, share(better, len(a)))

@@ -24,7 +24,7 @@ from jaxstage.system.files import write_text
 from tuning.store import work_folder as folders
 from tuning.tuner.report import ACCEPTED, REFUSED
 
-KIND = folders.Kind("demo.toml", "demo", ("jaxstage", "loops", "plants"))
+KIND = folders.FolderKind("demo.toml", "demo", ("jaxstage", "loops", "plants"))
 #: the published law, and the industrial cascade on the same machine
 LOOPS = ("dfcmac-circle", "cascade-circle")
 #: units that the tuning of each law may spend

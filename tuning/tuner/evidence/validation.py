@@ -16,7 +16,7 @@ from jaxstage.studies import Case, Timing, with_metric
 from jaxstage.studies.case import scored
 from tuning.tuner.problem.scenario_set import RunSet, run_sets
 from tuning.tuner.problem.training_metrics import available_columns
-from tuning.uncertainty.figure_table import figure_columns, flag_columns
+from tuning.uncertainty.metric_table import flag_columns, metric_columns
 from tuning.uncertainty.statistics import Interval, Share, bootstrap, share
 from tuning.uncertainty.uncertain_space import batch
 
@@ -84,7 +84,7 @@ def _simulated(one: RunSet, gains: Sequence[Any]) -> dict[str, np.ndarray]:
         in_axes=(0, *drawn.in_axes[1:]),
         memory=MEMORY,
     )
-    columns = figure_columns(run.report, case.loop.plant) | flag_columns(run, case.loop.dt)
+    columns = metric_columns(run.report, case.loop.plant) | flag_columns(run, case.loop.dt)
     return {name: column.reshape(count, runs) for name, column in columns.items()}
 
 

@@ -29,7 +29,7 @@ def parameter_columns(
     return table
 
 
-def figure_columns(report: Any, plant: Plant) -> dict[str, np.ndarray]:
+def metric_columns(report: Any, plant: Plant) -> dict[str, np.ndarray]:
     """Figures of a batch in display units, one column an axis, e.g. ``following_rms_x_um``.
 
     report: leaves (n,) or (n, axes). Lost runs are NaN.
@@ -46,12 +46,12 @@ def figure_columns(report: Any, plant: Plant) -> dict[str, np.ndarray]:
     return table
 
 
-def figure_names(case: Case) -> tuple[str, ...]:
-    """The columns that `figure_columns` gives for the runs of a case."""
+def metric_names(case: Case) -> tuple[str, ...]:
+    """The columns that `metric_columns` gives for the runs of a case."""
     loop = case.loop
     first = loop.reference.sample(case.path, jnp.zeros((), jnp.int32))
     report = loop.metric.finish(loop.metric.init(first))
-    return tuple(figure_columns(jax.tree.map(lambda x: np.asarray(x)[None], report), loop.plant))
+    return tuple(metric_columns(jax.tree.map(lambda x: np.asarray(x)[None], report), loop.plant))
 
 
 def flag_columns(run: Run, dt: float) -> dict[str, np.ndarray]:

@@ -15,8 +15,8 @@ from rich.table import Table
 
 from jaxstage.metrics.table import split_key
 from tuning.sweeps.analysis import Analysis, LoopResult, choose_metric
-from tuning.sweeps.sweep import Progress
-from tuning.uncertainty.statistics import Claim, Interval, Share
+from tuning.sweeps.sweep import SweepProgress
+from tuning.uncertainty.statistics import Interval
 
 #: parameters that are named as the most important ones
 MOST = 4
@@ -25,7 +25,7 @@ MOST = 4
 @contextmanager
 def bar(
     metric: str, total: int, kept: pa.Table | None = None
-) -> Iterator[Callable[[Progress], None]]:
+) -> Iterator[Callable[[SweepProgress], None]]:
     """A bar on standard error: runs per second, time left, lost runs, worst figure so far.
 
     kept: rows that were there before, of an earlier sweep into the folder.
@@ -42,7 +42,7 @@ def bar(
     ) as progress:
         task = progress.add_task("", total=total, rate="", state="")
 
-        def watch(now: Progress) -> None:
+        def watch(now: SweepProgress) -> None:
             nonlocal lost, worst
             more, largest = _lost_and_worst(now.written, metric)
             lost, worst = lost + more, max(worst, largest)
@@ -79,7 +79,7 @@ def show(found: Analysis, answer: dict[str, Any]) -> None:
         both = "" if c.survived == c.plants else f" of the {c.survived} that neither lost"
         console.print(
             f"{c.first} - {c.second} on the same {c.plants} plants: mean{both} "
-            f"{_interval(c.difference)} {unit}; {c.first} smaller on {share_text(c.better)}"
+            f"{_interval(c.difference)} {unit}; {c.first} smaller on {c.better.text()}"
         )
     rows = ", ".join(f"{w['loop']} run {w['run']}: {_worst(w, unit)}" for w in answer["worst"][:3])
     again = f"jaxstage replay {answer['sweep']} --worst K"
@@ -109,15 +109,15 @@ def _lines(loop: LoopResult, figure: str) -> Iterator[tuple[str, str, str]]:
     if loop.met:
         yield "yield", f"{loop.met.value:.2%}", f"{loop.met.low:.2%}..{loop.met.high:.2%}"
     if loop.claim:
-        yield f"yield >= {loop.claim.target:.4g}", "", claim_text(loop.claim)
-    if loop.figures:
+        yield f"yield >= {loop.claim.target:.4g}", "", loop.claim.text()
+    if loop.statistics:
         mean = "mean (not lost)" if loop.lost else "mean"
         for name, key in ((mean, "mean"), ("P50", "p50"), ("P95", "p95"), ("CVaR 95", "cvar95")):
-            stated: Interval | None = getattr(loop.figures, key)
+            stated: Interval | None = getattr(loop.statistics, key)
             if stated:
                 yield f"{figure} {name}", f"{stated.value:.4g}", _ends(stated)
             else:
-                yield f"{figure} {name}", "-", loop.figures.reasons[key]
+                yield f"{figure} {name}", "-", loop.statistics.reasons[key]
 
 
 def _influences(console: Console, loop: LoopResult) -> None:
@@ -133,17 +133,6 @@ def _influences(console: Console, loop: LoopResult) -> None:
             for i in order
         )
         console.print(f"{loop.name}: total Sobol index {told}")
-
-
-def claim_text(found: Claim) -> str:
-    """What became of a claimed yield, in words."""
-    needed = f": about {found.needed} runs would decide it" if found.needed else ""
-    return f"{found.verdict}{needed}"
-
-
-def share_text(found: Share) -> str:
-    """A share with its interval, in per cent."""
-    return f"{found.value:.2%} ({found.low:.2%}..{found.high:.2%})"
 
 
 def _interval(found: Interval | None) -> str:
