@@ -39,7 +39,7 @@ from jaxstage.numerics.smooth import within
 
 @pytree
 class AdaptiveSliding:
-    """Gains of the law, one axis."""
+    """Gains of the adaptive sliding-mode law, one axis."""
 
     slope: Array = gain("1/s", "c0", "slope of the surface at the start", above=0.0)
     slope_rate: Array = gain("1/m2", "g_c", "adaptation of the slope", low=0.0)
@@ -60,7 +60,7 @@ class AdaptiveSliding:
 
 @pytree
 class AdaptiveMemory:
-    """What has adapted, and the sample that it adapts to."""
+    """Adapted parameters, and the sample that they adapt to."""
 
     slope: Array = signal("1/s", "c", "slope of the surface")
     switching_gain: Array = signal("m/s2", "eps", "switching gain")
@@ -72,18 +72,45 @@ class AdaptiveMemory:
 
 
 def switch(sharpness: Array, surface: Array) -> Array:
-    """phi(s) = tanh(a s/2), equation (11) without its overflow."""
+    """Sigmoid switching function phi(s) = tanh(a s/2): equation (11) without its overflow.
+
+    Args:
+        sharpness: a, () s/m.
+        surface: s, () m/s.
+
+    Returns:
+        phi in (-1, 1), ().
+    """
     return jnp.tanh(sharpness * surface / 2)
 
 
 def sampled_gain(slope: Array, switching_gain: Array, sharpness: Array, dt: float) -> Array:
-    """eps a T/2 + c T: the change of s in one period per s, for an axis that is all there is."""
+    """Loop gain of the sampled switch, eps a T/2 + c T: the change of s in one period, per s.
+
+    It holds for a rigid axis, near s = 0, where phi has the slope a/2.
+
+    Args:
+        slope: c, 1/s.
+        switching_gain: eps, m/s2.
+        sharpness: a, s/m.
+        dt: T, control period in s.
+
+    Returns:
+        The gain, dimensionless; 1 is dead-beat, 2 the limit of stability.
+    """
     return switching_gain * sharpness * dt / 2 + slope * dt
 
 
 def _init(gains: AdaptiveSliding, setpoint: Setpoint, measurement: Measurement) -> AdaptiveMemory:
     error, rate = errors(setpoint, measurement)
     none = jnp.zeros_like(measurement.position)
+    exchange = Exchange(
+        position=measurement.position,
+        velocity=measurement.velocity,
+        command=none,
+        last_position=measurement.position,
+        last_command=none,
+    )
     return AdaptiveMemory(
         slope=jnp.broadcast_to(gains.slope, none.shape),
         switching_gain=jnp.broadcast_to(gains.switching_gain, none.shape),
@@ -91,11 +118,8 @@ def _init(gains: AdaptiveSliding, setpoint: Setpoint, measurement: Measurement) 
         surface=gains.slope * error + rate,
         error=error,
         rate=rate,
-        exchange=Exchange(
-            position=measurement.position, velocity=measurement.velocity, command=none,
-            last_position=measurement.position, last_command=none,
-        ),
-    )  # fmt: skip
+        exchange=exchange,
+    )
 
 
 def _control(
@@ -108,19 +132,22 @@ def _control(
     error, rate = errors(setpoint, measurement)
     surface = memory.slope * error + rate
     switched = memory.switching_gain * switch(memory.sharpness, surface)
-    wanted = setpoint.acceleration + memory.slope * rate + switched
-    before = memory.exchange
-    exchange = Exchange(
-        position=measurement.position, velocity=measurement.velocity, command=before.command,
-        last_position=before.position, last_command=before.command,
-    )  # fmt: skip
-    kept = replace(memory, surface=surface, error=error, rate=rate, exchange=exchange)
-    return wanted / authority(gains.nominal), kept
+    acceleration = setpoint.acceleration + memory.slope * rate + switched
+    exchange = memory.exchange.seen_next(measurement)
+    memory = replace(memory, surface=surface, error=error, rate=rate, exchange=exchange)
+    return acceleration / authority(gains.nominal), memory
 
 
 @functools.cache
 def adaptive_sliding(input_sign: InputSign = forward) -> Controller:
-    """The law for one axis with the given reading of q."""
+    """Adaptive sliding-mode law of one axis; gains `AdaptiveSliding`.
+
+    Args:
+        input_sign: the reading of q: `forward`, `position_input`, `moving` or `difference`.
+
+    Returns:
+        The controller. Equal arguments give the identical one.
+    """
 
     def settle(
         gains: AdaptiveSliding, memory: AdaptiveMemory, demand: Array, command: Array, dt: float

@@ -1,4 +1,4 @@
-"""The industrial baseline: P position loop around a PI velocity loop, with feed-forward.
+"""P-PI cascade, the industrial baseline: a position loop around a velocity loop, feed-forward.
 
     v_ref = k_p e + k_v r',   e_v = v_ref - y',   I <- I + e_v dt
     u = [ k_s e_v + k_i I + k_a r'' ] / b + { k_f [ B r' + F_c tanh(r'/w) ] + k_l F_L } / K_t
@@ -27,7 +27,7 @@ from jaxstage.model.signals import Measurement, Setpoint
 
 @pytree
 class Cascade:
-    """Gains of the cascade, one axis."""
+    """Gains of the P-PI cascade, one axis."""
 
     position_gain: Array = gain("1/s", "k_p", "position loop", low=0.0)
     velocity_gain: Array = gain("1/s", "k_s", "velocity loop", above=0.0)
@@ -57,8 +57,8 @@ def _control(
     gains: Cascade, memory: CascadeMemory, setpoint: Setpoint, measurement: Measurement, dt: float
 ) -> tuple[Array, CascadeMemory]:
     error, _ = errors(setpoint, measurement)
-    wanted = gains.position_gain * error + gains.velocity_feedforward * setpoint.velocity
-    lag = wanted - measurement.velocity
+    commanded = gains.position_gain * error + gains.velocity_feedforward * setpoint.velocity
+    lag = commanded - measurement.velocity
     integral = memory.integral + lag * dt
     axis = gains.nominal
     acceleration = (
@@ -75,10 +75,14 @@ def _control(
 def _settle(
     gains: Cascade, memory: CascadeMemory, demand: Array, command: Array, dt: float
 ) -> CascadeMemory:
-    """I <- I + b (command - demand) / (k_s + k_i dt): the error that would have met the limit."""
+    """Back-calculation, I <- I + dt b (command - demand) / (k_s + k_i dt).
+
+    That is the velocity error which would have met the limit of the drive.
+    """
     stiffness = gains.velocity_gain + gains.integral_gain * dt
     cut = authority(gains.nominal) * (command - demand) / stiffness
     return CascadeMemory(integral=memory.integral + dt * cut)
 
 
+#: The law for one axis; gains `Cascade`.
 cascade = Controller(name="cascade", init=_init, control=_control, settle=_settle)

@@ -57,7 +57,7 @@ class CmacSliding:
 
 @pytree
 class CmacMemory:
-    """What the law has learned, and its sliding variable."""
+    """Adapted weights, and the sliding variable."""
 
     weights: Array = signal("command", "theta", "adapted weights", shape="(4, 3, 3)")
     surface: Array = signal("m/s", "s", "sliding variable", shown="mm/s")
@@ -70,7 +70,15 @@ def _init(gains: CmacSliding, setpoint: Setpoint, measurement: Measurement) -> C
 
 @functools.cache
 def cmac_sliding(receptive: Receptive = gaussian, switch: Switch = exact) -> Controller:
-    """The law for one axis. receptive: `crisp` or `gaussian`; switch: `exact`, `smooth`, ..."""
+    """CMAC sliding-mode law of one axis; gains `CmacSliding`.
+
+    Args:
+        receptive: `crisp` (conventional CMAC) or `gaussian` (direct fuzzy CMAC).
+        switch: w(s): `exact`, `smooth`, `sat` or `implicit`.
+
+    Returns:
+        The controller. Equal arguments give the identical one.
+    """
 
     def control(
         gains: CmacSliding,

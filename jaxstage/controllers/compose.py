@@ -1,4 +1,6 @@
-"""Functions from laws to laws. Equal compositions are the identical definition.
+"""Composition of control laws: functions from laws to laws.
+
+Equal compositions are the identical definition.
 
 A law is written for one axis, with scalars; `per_axis` makes it drive several. Every composition
 forwards `settle` with the TOTAL demand and command: an observer that heard only its own law's
@@ -23,9 +25,14 @@ _PER_AXIS = Setpoint(position=0, velocity=0, acceleration=0, tangent=0, curvatur
 
 @functools.cache
 def per_axis(law: Controller) -> Controller:
-    """The same law on every axis, each with its own gains: leaves of the gains are (axes, ...).
+    """Decentralised control: the same law on every axis, each with its own gains.
 
-    A gain given once, in its shape for one axis, holds for all axes.
+    Args:
+        law: a law of one axis.
+
+    Returns:
+        The law of several axes. Leaves of its gains are (axes, ...); a leaf in its shape for one
+        axis holds for all of them.
     """
     init = jax.vmap(law.init, in_axes=(0, _PER_AXIS, 0))
     control = jax.vmap(law.control, in_axes=(0, 0, _PER_AXIS, 0, None))
@@ -58,7 +65,7 @@ def _on_axes(gains: Any, axes: int) -> Any:
 
 @pytree
 class Both:
-    """Gains or memory of a law and of what is added to it."""
+    """Gains or memory of a sum of two laws."""
 
     law: Any = part("the law")
     extra: Any = part("what is added to it")
@@ -66,11 +73,18 @@ class Both:
 
 @functools.cache
 def plus(law: Controller, extra: Controller) -> Controller:
-    """u = u_law + u_extra: feed-forward, or a disturbance observer, around any law.
+    """Sum of two laws, u = u_law + u_extra: feed-forward, or an observer, around any law.
 
-    gains: `Both`. An observer is a law whose demand is what cancels its estimate, in command
-    units, and whose ``settle`` hears the total command. Each law hears the whole cut
-    (command - demand), so two integrators with anti-windup leave a limit faster than one.
+    An observer is a law whose demand is what cancels its estimate, in command units, and whose
+    ``settle`` hears the total command. Each law hears the whole cut (command - demand), so two
+    integrators with anti-windup leave a limit faster than one.
+
+    Args:
+        law: the law.
+        extra: what is added to it, for as many axes.
+
+    Returns:
+        The sum; gains and memory `Both`.
     """
     return _summed(f"{law.name} + {extra.name}", law, extra, lambda gains: 1.0)
 
@@ -88,11 +102,17 @@ class Coupled:
 
 @functools.cache
 def cross_coupled(axis: Controller, contour: Controller) -> Controller:
-    """u = u_axis + U / a_n: the contour law demands an acceleration U (axes,) in m/s2.
+    """Cross-coupled control, u = u_axis + U / a_n.
 
-    gains: `Coupled`, whose nominal command per acceleration lets any law be wrapped and makes
-    unequal axes answer in the direction of U. The contour law's ``settle`` hears the totals in its
-    own unit, m/s2.
+    The nominal command per acceleration lets any law be wrapped, and makes unequal axes answer in
+    the direction of U. The contour law's ``settle`` hears the totals in its own unit, m/s2.
+
+    Args:
+        axis: the law of all axes, its demand in command units.
+        contour: the contour law; it demands an acceleration U, (axes,) m/s2.
+
+    Returns:
+        The sum; gains `Coupled`, memory `Both`.
     """
     return _summed(
         f"cross_coupled[{axis.name}, {contour.name}]",
@@ -105,7 +125,7 @@ def cross_coupled(axis: Controller, contour: Controller) -> Controller:
 def _summed(
     name: str, law: Controller, extra: Controller, unit: Callable[[Any], Array | float]
 ) -> Controller:
-    """``unit(gains)``: command units in one unit of the extra law, both ways."""
+    """The sum of two laws; ``unit(gains)``: command units in one unit of the extra law."""
 
     def init(gains: Any, setpoint: Setpoint, measurement: Measurement) -> Both:
         return Both(
@@ -149,9 +169,17 @@ class Offset:
 def offset_setpoint(
     law: Controller, name: str, shift: Callable[[Any, Setpoint], Array]
 ) -> Controller:
-    """The law follows ``r + shift(gains.offset, setpoint)``; metrics keep the original r.
+    """Setpoint offset: the law follows r + shift; metrics keep the original r.
 
-    shift returns (axes,) m; velocity and acceleration of the setpoint stay. gains: `Offset`.
+    Velocity and acceleration of the setpoint stay.
+
+    Args:
+        law: the law.
+        name: what the shift is called.
+        shift: (``gains.offset``, setpoint) -> (axes,) m.
+
+    Returns:
+        The law of the shifted setpoint; gains `Offset`, memory that of the law.
     """
 
     def moved(gains: Offset, setpoint: Setpoint) -> Setpoint:

@@ -1,11 +1,12 @@
-"""Disturbance observer: estimates what the nominal model leaves unexplained, and cancels it.
+"""Disturbance observer: estimates the acceleration that the nominal model leaves unexplained.
 
     d^' = k1 (w^ - v)
     w^' = a_n u - (B v + F_L)/M_n - d^ - k2 (w^ - v),   w^(0) = v(0), d^(0) = 0
     u_obs = d^ / a_n,   a_n = K_t / M_n
 
-A law of its own: `plus(law, per_axis(disturbance_observer))` puts it around any law. u is the total
-command, after coupling and limits; told less, the observer would take the rest for a disturbance.
+u_obs cancels the estimate. `plus(law, per_axis(disturbance_observer))` puts it around any law. u is
+the total command, after coupling and limits; told less, the observer would take the rest for a
+disturbance.
 
 | symbol | field | unit |
 |---|---|---|
@@ -36,7 +37,7 @@ from jaxstage.numerics.smooth import positive
 
 @pytree
 class DisturbanceObserver:
-    """Gains of the observer, one axis."""
+    """Gains of the disturbance observer, one axis."""
 
     disturbance_gain: Array = gain("1/s2", "k1", "gain on the disturbance", above=0.0)
     velocity_gain: Array = gain("1/s", "k2", "gain on the velocity", above=0.0)
@@ -45,7 +46,7 @@ class DisturbanceObserver:
 
 @pytree
 class Estimate:
-    """What the observer integrates."""
+    """State of the observer."""
 
     disturbance: Array = signal("m/s2", "d^", "estimated disturbance")
     velocity: Array = signal("m/s", "w^", "estimated velocity", shown="mm/s")
@@ -53,14 +54,23 @@ class Estimate:
 
 @pytree
 class ObserverMemory:
-    """The estimate, and the velocity last seen."""
+    """State of the observer, and the velocity last measured."""
 
     estimate: Estimate = part("what the observer integrates")
     seen: Array = signal("m/s", "v", "measured velocity", shown="mm/s")
 
 
 def rate(gains: DisturbanceObserver, memory: ObserverMemory, command: Array) -> Estimate:
-    """(d^', w^') at the velocity in the memory; command: the total one, in command units."""
+    """State derivative of the observer, (d^', w^'), at the velocity in the memory.
+
+    Args:
+        gains: those of one axis.
+        memory: after ``control`` of the sample.
+        command: u, the total command of the axis, in command units.
+
+    Returns:
+        d^' in m/s3 and w^' in m/s2, in the fields of an `Estimate`.
+    """
     estimate, axis = memory.estimate, gains.nominal
     off = estimate.velocity - memory.seen
     modelled = authority(axis) * command + drift(axis, memory.seen)
@@ -71,7 +81,11 @@ def rate(gains: DisturbanceObserver, memory: ObserverMemory, command: Array) -> 
 
 
 def longest_period(gains: DisturbanceObserver) -> Array:
-    """The control period in s below which the observer is stable as sampled."""
+    """Stability limit of the sampled observer: the longest control period in s.
+
+    Forward Euler of p^2 + k2 p + k1: 4 / (k2 + sqrt(k2^2 - 4 k1)) for real poles, k2 / k1 for
+    complex ones. Elementwise in the gains.
+    """
     k1, k2 = gains.disturbance_gain, gains.velocity_gain
     square = positive(k2**2 - 4 * k1)
     real = square > 0

@@ -1,4 +1,4 @@
-"""Adaptive fuzzy PID cross-coupled law: a fuzzy system schedules the gains and goes on learning.
+"""Adaptive fuzzy PID cross-coupled contour control: a fuzzy system schedules the gains and learns.
 
     X1 = 3 tanh(-E / eps_sc),  X2 = 3 tanh(-E' / deps_sc),  xi = rule strengths of (X1, X2)
     K_q = clip(theta_q)^T xi,  q in {P, I, D};   U = K_P eps + K_I I + K_D D
@@ -56,7 +56,7 @@ RULES = "(sets, sets)"
 
 @pytree
 class Rules:
-    """Consequents of the rules at the start; rows contour error, columns its rate."""
+    """Rule consequents at the start; rows contour error, columns its rate."""
 
     proportional: Array = gain("1/s2", "theta_P0", "rules of K_P", shape=RULES)
     integral: Array = gain("1/s3", "theta_I0", "rules of K_I", shape=RULES)
@@ -65,7 +65,7 @@ class Rules:
 
 @pytree
 class Scales:
-    """What counts as a large contour error, rate and integral."""
+    """Normalisation of contour error, rate and integral."""
 
     deviation: Array = gain("m", "eps_sc", "contour error", above=0.0, shown="um")
     rate: Array = gain("m/s", "deps_sc", "its rate", above=0.0, shown="mm/s")
@@ -74,7 +74,7 @@ class Scales:
 
 @pytree
 class Adaptation:
-    """How fast the rules learn."""
+    """Adaptation rates of the consequents."""
 
     slope: Array = gain("1/s", "lam", "slope of the contour surface", above=0.0)
     proportional_rate: Array = gain("1/s3", "g_P", "learning rate of K_P", low=0.0)
@@ -85,7 +85,7 @@ class Adaptation:
 
 @pytree
 class Bounds:
-    """Between what the consequents are kept."""
+    """Bounds of the consequents."""
 
     proportional_least: Array = gain("1/s2", "thmin_P", "least K_P")
     proportional_most: Array = gain("1/s2", "thmax_P", "most", at_least="proportional_least")
@@ -116,7 +116,7 @@ class FuzzyPidContour:
 
 @pytree
 class Learned:
-    """What the law integrates."""
+    """Adapted consequents, and the integral of the contour error."""
 
     proportional: Array = signal("1/s2", "theta_P", "rules of K_P", shape=RULES)
     integral: Array = signal("1/s3", "theta_I", "rules of K_I", shape=RULES)
@@ -126,7 +126,7 @@ class Learned:
 
 @pytree
 class FuzzyPidMemory:
-    """What the law has learned, the contour error last seen and the gains it was met with."""
+    """Adapted consequents, the contour error last measured and the gains it was met with."""
 
     learned: Learned = part("what the law integrates")
     error: ContourError = part("contour error of the tick")
@@ -136,7 +136,7 @@ class FuzzyPidMemory:
 
 
 def rule_strengths(gains: FuzzyPidContour, error: ContourError) -> Array:
-    """xi, (sets, sets), at a contour error."""
+    """Normalised rule strengths xi, (sets, sets), at a contour error; their sum is 1."""
     size, rate, _ = magnitude(error, gains.rounding)
     return strengths(
         gains.error_sets,
@@ -147,7 +147,7 @@ def rule_strengths(gains: FuzzyPidContour, error: ContourError) -> Array:
 
 
 def kept(bounds: Bounds, learned: Learned) -> Learned:
-    """The consequents clipped to their bounds."""
+    """Projection: the consequents clipped to their bounds."""
     b = bounds
     return replace(
         learned,
@@ -158,30 +158,43 @@ def kept(bounds: Bounds, learned: Learned) -> Learned:
 
 
 def rate(form: Form, gains: FuzzyPidContour, memory: FuzzyPidMemory) -> Learned:
-    """Derivative of the consequents and of the integral at the contour error in the memory."""
+    """State derivative: theta_q' and I' at the contour error in the memory.
+
+    Args:
+        form: how the contour error is read.
+        gains: of the law.
+        memory: after ``control`` of the sample.
+
+    Returns:
+        The derivatives per second, in the fields of a `Learned`.
+    """
     error, learned, learn = memory.error, memory.learned, gains.adaptation
     terms = form.terms(gains.form, error, learned.error_integral)
     xi = rule_strengths(gains, error)
     surface = (error.deviation + error.rate / learn.slope) / gains.scales.deviation
 
-    def adapted(speed: Array, term: Array, scale: Array, now: Array, begun: Array) -> Array:
-        return speed * dot(surface, term / scale) * xi - learn.leak * (now - begun)
+    def adapted(speed: Array, term: Array, moved: Array) -> Array:
+        return speed * dot(surface, term) * xi - learn.leak * moved
 
     scales, rules = gains.scales, gains.rules
     return Learned(
         proportional=adapted(
-            learn.proportional_rate, terms.proportional, scales.deviation,
-            learned.proportional, rules.proportional,
+            learn.proportional_rate,
+            terms.proportional / scales.deviation,
+            learned.proportional - rules.proportional,
         ),
         integral=adapted(
-            learn.integral_rate, terms.integral, scales.integral, learned.integral, rules.integral
+            learn.integral_rate,
+            terms.integral / scales.integral,
+            learned.integral - rules.integral,
         ),
         derivative=adapted(
-            learn.derivative_rate, terms.derivative, scales.rate,
-            learned.derivative, rules.derivative,
+            learn.derivative_rate,
+            terms.derivative / scales.rate,
+            learned.derivative - rules.derivative,
         ),
         error_integral=form.rate(gains.form, error, learned.error_integral),
-    )  # fmt: skip
+    )
 
 
 def _shown(gains: FuzzyPidContour, learned: Learned, error: ContourError) -> FuzzyPidMemory:
@@ -198,7 +211,14 @@ def _shown(gains: FuzzyPidContour, learned: Learned, error: ContourError) -> Fuz
 
 @functools.cache
 def fuzzy_pid_contour(form: Form = vector) -> Controller:
-    """The law for any number of axes, for `cross_coupled`. form: `vector` or `scalar`."""
+    """Fuzzy PID contour law of any number of axes, for `cross_coupled`; gains `FuzzyPidContour`.
+
+    Args:
+        form: how the contour error is read, `vector` or `scalar`.
+
+    Returns:
+        The controller, whose demand is an acceleration, (axes,) m/s2.
+    """
 
     def init(gains: FuzzyPidContour, setpoint: Setpoint, seen: Measurement) -> FuzzyPidMemory:
         learned = Learned(
@@ -219,10 +239,8 @@ def fuzzy_pid_contour(form: Form = vector) -> Controller:
         error = contour_error(setpoint, seen, gains.rest_speed)
         memory = _shown(gains, memory.learned, error)
         terms = form.terms(gains.form, error, memory.learned.error_integral)
-        demand = (
-            memory.proportional_gain * terms.proportional
-            + memory.integral_gain * terms.integral
-            + memory.derivative_gain * terms.derivative
+        demand = terms.weighted(
+            memory.proportional_gain, memory.integral_gain, memory.derivative_gain
         )
         return demand, memory
 

@@ -1,12 +1,14 @@
-"""The fuzzy rules of a controller as text, before and after a run."""
+"""Fuzzy rule bases of a controller as text, before and after a run."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import numpy as np
 
 from jaxstage.controllers.fuzzy_pid_contour import FuzzyPidContour, FuzzyPidMemory
 from jaxstage.controllers.parts.fuzzy import REACH, rules_text
+
+T = TypeVar("T")
 
 #: field of the rules -> what they give
 OUTPUTS = {"proportional": "K_P in 1/s2", "integral": "K_I in 1/s3", "derivative": "K_D in 1/s"}
@@ -15,20 +17,24 @@ OUTPUTS = {"proportional": "K_P in 1/s2", "integral": "K_I in 1/s3", "derivative
 def readable(gains: Any, memory: Any) -> str | None:
     """All fuzzy rules among the gains of a controller, at the start and at the end of a run.
 
-    gains, memory: of one controller, composed or not; memory: of the last tick, such as
-    ``run.final.memory``. None where the gains hold no fuzzy rules.
+    Args:
+        gains: of one controller, composed or not.
+        memory: of the same controller at the last tick, such as ``run.final.memory``.
+
+    Returns:
+        The rule bases as text, or None where the gains hold no fuzzy rules.
     """
-    laws, memories = _of(FuzzyPidContour, gains), _of(FuzzyPidMemory, memory)
-    found = [_text(law, end) for law, end in zip(laws, memories, strict=True)]
-    return "\n\n".join(found) + "\n" if found else None
+    laws, memories = fuzzy_laws(gains), _of(FuzzyPidMemory, memory)
+    texts = [_text(law, end) for law, end in zip(laws, memories, strict=True)]
+    return "\n\n".join(texts) + "\n" if texts else None
 
 
 def fuzzy_laws(gains: Any) -> list[FuzzyPidContour]:
-    """The gains of every fuzzy law among those of a controller."""
+    """Gains of every fuzzy law among those of a controller, composed or not."""
     return _of(FuzzyPidContour, gains)
 
 
-def _of(kind: type, tree: Any) -> list[Any]:
+def _of(kind: type[T], tree: Any) -> list[T]:
     leaves = jax.tree.leaves(tree, is_leaf=lambda node: isinstance(node, kind))
     return [leaf for leaf in leaves if isinstance(leaf, kind)]
 

@@ -1,6 +1,6 @@
-"""Model-reference adaptive control inside any law: the axis is made to behave like a rigid one.
+"""Model-reference adaptive control (MRAC) as an inner loop: the axis behaves like a rigid one.
 
-The inner loop adds to the demand u_c of the law what makes y' follow a model of the nominal axis:
+It adds to the demand u_c of any law what makes y' follow a model of the nominal axis:
 
     v_m' = b u_c + l (y' - v_m),   v_m(0) = y'(0),   e_m = y' - v_m
     u = u_c + (1/b) sum_i W_i Phi_i,   Phi = (b u_c, y', tanh(y'/w_s), 1)
@@ -32,14 +32,14 @@ from jax import Array
 
 from jaxstage.controllers.parts.nominal import RigidAxis, authority
 from jaxstage.model.blocks import Controller
-from jaxstage.model.fields import gain, part, pytree, signal
+from jaxstage.model.fields import gain, part, pytree, replace, signal
 from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.smooth import within
 
 
 @pytree
 class Rates:
-    """How fast each weight adapts."""
+    """Adaptation rates of the weights."""
 
     input: Array = gain("s2/m2", "g1", "adaptation of the input gain", low=0.0)
     viscous: Array = gain("1/m2", "g2", "adaptation of the viscous term", low=0.0)
@@ -59,7 +59,7 @@ class Limits:
 
 @pytree
 class Weights:
-    """What the inner loop has learned."""
+    """Adapted weights of the inner loop."""
 
     input: Array = signal("1", "W1", "error of the input gain")
     viscous: Array = signal("1/s", "W2", "viscous term")
@@ -93,11 +93,38 @@ def _four(values: Rates | Limits | Weights) -> tuple[Array, Array, Array, Array]
     return values.input, values.viscous, values.dry, values.constant
 
 
+def _compensated(
+    gains: ModelReference, memory: ModelMemory, law_demand: Array, velocity: Array, dt: float
+) -> tuple[Array, Array, Weights]:
+    """One sample of the inner loop: the total demand, v_m and W of the next sample."""
+    b = authority(gains.nominal)
+    dry = jnp.tanh(velocity / gains.dry_width)
+    features = (b * law_demand, velocity, dry, jnp.ones_like(velocity))
+    weights = _four(memory.weights)
+    added = sum(w * phi for w, phi in zip(weights, features, strict=True))
+    error = velocity - memory.model
+    adapted = [
+        within(w - dt * (g * error * phi + gains.leak * w), -most, most)
+        for w, g, phi, most in zip(
+            weights, _four(gains.rates), features, _four(gains.limits), strict=True
+        )
+    ]
+    old = jnp.exp(-gains.model_rate * dt)
+    model = old * memory.model + (1 - old) * (velocity + b * law_demand / gains.model_rate)
+    learned = Weights(input=adapted[0], viscous=adapted[1], dry=adapted[2], constant=adapted[3])
+    return law_demand + added / b, model, learned
+
+
 @functools.cache
 def model_reference(law: Controller) -> Controller:
-    """The law around the adaptive inner loop; gains `ModelReference`.
+    """A law around the adaptive inner loop; gains `ModelReference`.
 
-    law: for one axis or several; the total demand and command reach its ``settle``.
+    Args:
+        law: of one axis or several; the total demand and command reach its ``settle``.
+
+    Returns:
+        The law with its inner loop, for as many axes. Its ``longest_period`` is that of the law
+        and at most 2 / sigma.
     """
 
     def init(gains: ModelReference, setpoint: Setpoint, measurement: Measurement) -> ModelMemory:
@@ -115,36 +142,17 @@ def model_reference(law: Controller) -> Controller:
         measurement: Measurement,
         dt: float,
     ) -> tuple[Array, ModelMemory]:
-        asked, kept = law.control(gains.law, memory.law, setpoint, measurement, dt)
-        b, v = authority(gains.nominal), measurement.velocity
-        features = (b * asked, v, jnp.tanh(v / gains.dry_width), jnp.ones_like(v))
-        weights = _four(memory.weights)
-        added = sum(w * phi for w, phi in zip(weights, features, strict=True))
-        error = v - memory.model
-        learned = [
-            within(w - dt * (g * error * phi + gains.leak * w), -most, most)
-            for w, g, phi, most in zip(
-                weights, _four(gains.rates), features, _four(gains.limits), strict=True
-            )
-        ]
-        old = jnp.exp(-gains.model_rate * dt)
-        model = old * memory.model + (1 - old) * (v + b * asked / gains.model_rate)
-        return asked + added / b, ModelMemory(
-            law=kept,
-            model=model,
-            weights=Weights(
-                input=learned[0], viscous=learned[1], dry=learned[2], constant=learned[3]
-            ),
-        )
+        law_demand, kept = law.control(gains.law, memory.law, setpoint, measurement, dt)
+        demand, model, weights = _compensated(gains, memory, law_demand, measurement.velocity, dt)
+        return demand, ModelMemory(law=kept, model=model, weights=weights)
 
     def settle(
         gains: ModelReference, memory: ModelMemory, demand: Array, command: Array, dt: float
     ) -> ModelMemory:
-        kept = law.settle(gains.law, memory.law, demand, command, dt)
-        return ModelMemory(law=kept, model=memory.model, weights=memory.weights)
+        return replace(memory, law=law.settle(gains.law, memory.law, demand, command, dt))
 
     def longest_period(gains: ModelReference) -> Array:
-        """That of the law, and 2 / sigma of the weights."""
+        # that of the law, and 2 / sigma of the weights
         forgets = gains.leak > 0
         weights = jnp.where(forgets, 2 / jnp.where(forgets, gains.leak, 1), jnp.inf)
         return jnp.minimum(jnp.min(weights), jnp.min(jnp.asarray(law.longest_period(gains.law))))

@@ -1,4 +1,4 @@
-"""Sliding mode on a surface whose slope grows with the speed reached, with fixed or adaptive gain.
+"""Sliding mode on a nonlinear surface: its slope grows with the speed; fixed or adaptive gain.
 
     e = r - y,   s = e' + A e,   A = lam + gam psi                                  (7)
     u = (1/K_f) { J [ r'' + A e' + K s + q w(s) + sigma gam psi' e ] + B y' }       (12)
@@ -40,7 +40,7 @@ from jaxstage.numerics.smooth import Switch, exact
 
 @pytree
 class NonlinearSurface:
-    """Gains of the law, one axis."""
+    """Gains of the nonlinear-surface law, one axis."""
 
     slope: Array = gain("1/s", "lam", "slope of the surface at rest", above=0.0)
     damping_slope: Array = gain("1/s", "gam", "slope added for each unit of psi", low=0.0)
@@ -53,7 +53,7 @@ class NonlinearSurface:
 
 @pytree
 class SurfaceMemory:
-    """What the law carries on, and shows."""
+    """Sliding variable, psi, reaching gain and error rate of a sample."""
 
     surface: Array = signal("m/s", "s", "sliding variable", shown="mm/s")
     damping: Array = signal("1", "psi", "damping function")
@@ -69,7 +69,18 @@ def nonlinear_surface(
     damping_rate: DampingRate = ignored,
     error_rate: ErrorRate = measured,
 ) -> Controller:
-    """The law for one axis, of the given parts."""
+    """Nonlinear-surface sliding-mode law of one axis; gains `NonlinearSurface`.
+
+    Args:
+        damping: psi: `bounded`, `bounded_below`, `raw` or `constant` of `parts.damping`.
+        reaching: K: a form of `parts.reaching`.
+        switch: w(s): `exact`, `smooth`, `sat` or `implicit`.
+        damping_rate: psi': `ignored`, `differenced(sign)` or `modelled(sign)`.
+        error_rate: e': `measured` or `differenced` of `parts.error_rate`.
+
+    Returns:
+        The controller. Equal arguments give the identical one.
+    """
 
     def init(
         gains: NonlinearSurface, setpoint: Setpoint, measurement: Measurement
@@ -84,28 +95,31 @@ def nonlinear_surface(
         )
 
     def control(
-        gains: NonlinearSurface, memory: SurfaceMemory, setpoint: Setpoint,
-        measurement: Measurement, dt: float,
-    ) -> tuple[Array, SurfaceMemory]:  # fmt: skip
+        gains: NonlinearSurface,
+        memory: SurfaceMemory,
+        setpoint: Setpoint,
+        measurement: Measurement,
+        dt: float,
+    ) -> tuple[Array, SurfaceMemory]:
         error, _ = errors(setpoint, measurement)
         rate, kept = error_rate.of(memory.error_rate, setpoint, measurement, dt)
         psi_at = functools.partial(damping.apply, gains.damping)
         psi = psi_at(setpoint.velocity, measurement.velocity)
         slope = gains.slope + gains.damping_slope * psi
         surface = rate + slope * error
-        asked = (
-            setpoint.acceleration + slope * rate + memory.reaching * surface
-            + gains.switching_gain
-            * switch.apply(gains.switch, surface, gains.switching_gain * dt)
-        )  # fmt: skip
+        q = gains.switching_gain
+        switched = q * switch.apply(gains.switch, surface, q * dt)
+        free = setpoint.acceleration + slope * rate + memory.reaching * surface + switched
         motion = Motion(
-            wanted=setpoint.velocity, wanted_rate=setpoint.acceleration,
-            seen=measurement.velocity, asked=asked,
+            commanded=setpoint.velocity,
+            commanded_rate=setpoint.acceleration,
+            seen=measurement.velocity,
+            acceleration=free,
             feedback=damping_rate.sign * gains.damping_slope * error,
-        )  # fmt: skip
-        asked = asked + motion.feedback * damping_rate.of(psi_at, motion, memory.damping, dt)
+        )
+        total = free + motion.feedback * damping_rate.of(psi_at, motion, memory.damping, dt)
         axis = gains.nominal
-        demand = (axis.mass * asked + axis.damping * measurement.velocity) / axis.force_constant
+        demand = (axis.mass * total + axis.damping * measurement.velocity) / axis.force_constant
         return demand, replace(memory, surface=surface, damping=psi, error_rate=kept)
 
     def settle(

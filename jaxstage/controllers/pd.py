@@ -41,13 +41,13 @@ def _control(
     gains: Pd, memory: tuple[()], setpoint: Setpoint, measurement: Measurement, dt: float
 ) -> tuple[Array, tuple[()]]:
     error, rate = errors(setpoint, measurement)
-    wanted = (
+    acceleration = (
         setpoint.acceleration
         + gains.proportional_gain * error
         + gains.derivative_gain * rate
         - drift(gains.nominal, measurement.velocity)
     )
-    return wanted / authority(gains.nominal), ()
+    return acceleration / authority(gains.nominal), ()
 
 
 #: The law for one axis; gains `Pd`.

@@ -32,7 +32,7 @@ class Pi:
 
 @pytree
 class PiMemory:
-    """The command so far, and the sliding variable that it integrates."""
+    """Integrated command, and the sliding variable that it integrates."""
 
     command: Array = signal("command", "u", "integrated command")
     surface: Array = signal("m/s", "s", "-(c1 e + e')", shown="mm/s")
@@ -57,4 +57,5 @@ def _settle(gains: Pi, memory: PiMemory, demand: Array, command: Array, dt: floa
     return PiMemory(command=memory.command + (command - demand), surface=memory.surface)
 
 
+#: The law for one axis; gains `Pi`.
 pi = Controller(name="pi", init=_init, control=_control, settle=_settle)

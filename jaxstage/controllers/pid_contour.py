@@ -1,4 +1,4 @@
-"""PID cross-coupled law: an acceleration that pushes the tool back to the path.
+"""PID cross-coupled contour control: an acceleration that pushes the tool back to the path.
 
     U = K_P eps + K_I I + K_D D,   u_i = u_axis,i + U_i / a_n,i       (the sum: `cross_coupled`)
 
@@ -54,20 +54,27 @@ class PidContour:
 
 @pytree
 class PidContourMemory:
-    """Integral of the contour error, and the contour error last seen."""
+    """Integral of the contour error, and the contour error last measured."""
 
     integral: Array = signal("m s", "I", "integral of the contour error", shape="any")
     error: ContourError = part("contour error of the tick")
 
 
 def rate(form: Form, gains: PidContour, memory: PidContourMemory) -> Array:
-    """I': the derivative of the integral at the contour error in the memory."""
+    """State derivative I' of the integral, at the contour error in the memory: m, as `integral`."""
     return form.rate(gains.form, memory.error, memory.integral)
 
 
 @functools.cache
 def pid_contour(form: Form = vector) -> Controller:
-    """The law for any number of axes, for `cross_coupled`. form: `vector` or `scalar`."""
+    """PID contour law of any number of axes, for `cross_coupled`; gains `PidContour`.
+
+    Args:
+        form: how the contour error is read, `vector` or `scalar`.
+
+    Returns:
+        The controller, whose demand is an acceleration, (axes,) m/s2.
+    """
 
     def init(gains: PidContour, setpoint: Setpoint, seen: Measurement) -> PidContourMemory:
         return PidContourMemory(
@@ -84,11 +91,7 @@ def pid_contour(form: Form = vector) -> Controller:
     ) -> tuple[Array, PidContourMemory]:
         error = contour_error(setpoint, seen, gains.rest_speed)
         terms = form.terms(gains.form, error, memory.integral)
-        demand = (
-            gains.proportional_gain * terms.proportional
-            + gains.integral_gain * terms.integral
-            + gains.derivative_gain * terms.derivative
-        )
+        demand = terms.weighted(gains.proportional_gain, gains.integral_gain, gains.derivative_gain)
         return demand, replace(memory, error=error)
 
     def settle(

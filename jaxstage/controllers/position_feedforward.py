@@ -35,5 +35,13 @@ def _shift(gains: PositionFeedforward, setpoint: Setpoint) -> Array:
 
 @functools.cache
 def position_feedforward(law: Controller) -> Controller:
-    """The law with the shifted setpoint; gains `Offset` of the law's and `PositionFeedforward`."""
+    """Position feed-forward around a law of any number of axes.
+
+    Args:
+        law: the law.
+
+    Returns:
+        The law that follows r + A sgn r'; gains `Offset`: ``law`` those of the law, ``offset`` a
+        `PositionFeedforward`.
+    """
     return offset_setpoint(law, "position_feedforward", _shift)

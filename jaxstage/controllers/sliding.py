@@ -41,7 +41,7 @@ class Sliding:
 
 @pytree
 class SlidingMemory:
-    """What the law shows."""
+    """Sliding variable of the last sample."""
 
     surface: Array = signal("m/s", "s", "sliding variable", shown="mm/s")
 
@@ -53,7 +53,14 @@ def _init(gains: Sliding, setpoint: Setpoint, measurement: Measurement) -> Slidi
 
 @functools.cache
 def sliding(switch: Switch = exact) -> Controller:
-    """The law for one axis with the given switch: `exact`, `smooth` or `implicit`."""
+    """Ideal sliding-mode law of one axis; gains `Sliding`.
+
+    Args:
+        switch: w(s): `exact`, `smooth`, `sat` or `implicit`.
+
+    Returns:
+        The controller. Equal arguments give the identical one.
+    """
 
     def control(
         gains: Sliding,
@@ -67,7 +74,7 @@ def sliding(switch: Switch = exact) -> Controller:
         full = gains.disturbance_bound + gains.switching_gain
         switched = full * switch.apply(gains.switch, surface, full * dt)
         natural = drift(gains.nominal, measurement.velocity)
-        wanted = gains.slope * rate - natural + setpoint.acceleration - switched
-        return wanted / authority(gains.nominal), SlidingMemory(surface=surface)
+        acceleration = gains.slope * rate - natural + setpoint.acceleration - switched
+        return acceleration / authority(gains.nominal), SlidingMemory(surface=surface)
 
     return Controller(name=f"sliding[{switch.name}]", init=_init, control=control)

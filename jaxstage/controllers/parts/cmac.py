@@ -1,4 +1,4 @@
-"""The cerebellar model articulation controller as a part: cells, receptive fields, training.
+"""Cerebellar model articulation controller (CMAC): cells, receptive fields, training.
 
 Two inputs, each quantised into 9 intervals; 4 layers, each shifted by one interval, of 3 blocks
 per input: 36 hypercubes, of which 4 (one a layer) are active. Weights have the shape
@@ -27,12 +27,27 @@ SHAPE = (LAYERS, BLOCKS, BLOCKS)
 
 
 def coordinate(value: Array, width: Array) -> Array:
-    """z = clip(value / W + 4.5, 0, 9): an input in interval widths, 0 in the middle cell."""
+    """Quantiser input z = clip(value / W + 4.5, 0, 9): 0 lies in the middle cell.
+
+    Args:
+        value: (), in the unit of W.
+        width: W, interval of the input.
+
+    Returns:
+        z in interval widths, ().
+    """
     return within(value / width + INTERVALS / 2, 0, INTERVALS)
 
 
 def blocks(z: Array) -> tuple[Array, Array]:
-    """Active block (0..2) of each layer and its centre in interval widths, both (LAYERS,)."""
+    """Active block of each layer.
+
+    Args:
+        z: (), see `coordinate`.
+
+    Returns:
+        Index of the block, 0..2, and its centre in interval widths, both (LAYERS,).
+    """
     layer = jnp.arange(LAYERS, dtype=jnp.int32)
     block = (cell(z, INTERVALS) + LAYERS - 1 - layer) // LAYERS
     return block, (LAYERS * block + layer - 1).astype(z.dtype)
@@ -40,9 +55,12 @@ def blocks(z: Array) -> tuple[Array, Array]:
 
 @definition
 class Receptive:
-    """How strongly an active hypercube answers.
+    """Receptive field: how strongly an active hypercube answers.
 
-    strength(params, d1, d2): from the distances (LAYERS,) to the block centres, in intervals.
+    Attributes:
+        name: what it is called.
+        strength: (params, d1, d2) -> xi, (LAYERS,); d1, d2: distances (LAYERS,) to the block
+            centres, in intervals.
     """
 
     name: str
@@ -76,10 +94,16 @@ gaussian = Receptive(name="gaussian", strength=_gaussian)
 def features(
     receptive: Receptive, params: Any, first: Array, second: Array
 ) -> tuple[tuple[Array, Array, Array], Array]:
-    """Index of the active hypercubes and their strength xi, from the two coordinates.
+    """Association: the active hypercubes and their strength.
 
-    first, second: () in interval widths, see `coordinate`. Returns the index
-    (layer, block, block), each (LAYERS,), into an array of `SHAPE`, and xi (LAYERS,).
+    Args:
+        receptive: the receptive field.
+        params: its parameters.
+        first: coordinate of the first input, () in interval widths, see `coordinate`.
+        second: that of the second.
+
+    Returns:
+        The index (layer, block, block), each (LAYERS,), into an array of `SHAPE`; xi, (LAYERS,).
     """
     block_1, centre_1 = blocks(first)
     block_2, centre_2 = blocks(second)
@@ -88,9 +112,10 @@ def features(
 
 
 def association_matrix() -> np.ndarray:
-    """The 81 x 36 matrix A of equation (8): row 9 q1 + q2 marks the 4 hypercubes of that state.
+    """Association matrix A of equation (8): row 9 q1 + q2 marks the 4 hypercubes of that state.
 
-    Its rank is 33, so the weights of a trained CMAC are not unique.
+    Returns:
+        (81, 36), of 0 and 1. Its rank is 33: the weights of a trained CMAC are not unique.
     """
     matrix = np.zeros((INTERVALS**2, LAYERS * BLOCKS**2))
     for row, (q1, q2) in enumerate(np.ndindex(INTERVALS, INTERVALS)):
@@ -101,9 +126,15 @@ def association_matrix() -> np.ndarray:
 
 
 def train(weights: Array, active: Array, target: Array, rate: Array) -> Array:
-    """One supervised step W + (alpha / m) a (y - a^T W), equation (9), with m = 4 layers.
+    """Supervised least-mean-squares step W + (alpha / m) a (y - a^T W), equation (9), m = 4 layers.
 
-    weights: (36,); active: (36,) one row of the association matrix; target: () desired output;
-    rate: () learning rate alpha, 0 < alpha < 2 converges.
+    Args:
+        weights: W, (36,).
+        active: a, (36,), one row of the association matrix.
+        target: y, desired output, ().
+        rate: alpha, (); 0 < alpha < 2 converges.
+
+    Returns:
+        The new weights, (36,).
     """
     return weights + rate / LAYERS * active * (target - active @ weights)

@@ -1,4 +1,4 @@
-"""The contour error as a cross-coupled law sees it: the deviation from the tangent, and its rate.
+"""Tangent estimate of the contour error, its covariant rate, and how a PID law reads both.
 
     eps = e - (e.t) t,   t' = (r'' - (r''.t) t) / sqrt(|r'|^2 + v_0^2)
     eps' = e' - (e'.t + e.t') t - (e.t) t'
@@ -41,7 +41,7 @@ AXES = "(axes,)"
 
 @pytree
 class ContourError:
-    """Deviation from the tangent at one instant."""
+    """Tangent estimate of the contour error at one instant."""
 
     deviation: Array = signal("m", "eps", "estimated contour error", shape=AXES, shown="um")
     rate: Array = signal("m/s", "D", "its covariant rate", shape=AXES, shown="mm/s")
@@ -50,7 +50,13 @@ class ContourError:
 
 
 def contour_error(setpoint: Setpoint, seen: Measurement, rest_speed: Array) -> ContourError:
-    """The estimate at one instant. rest_speed: () m/s, v_0, keeps t' finite at rest."""
+    """Tangent estimate of the contour error: eps, D, t and t' of one sample.
+
+    Args:
+        setpoint: of the tick.
+        seen: the measurement of the tick.
+        rest_speed: v_0, () m/s, > 0; keeps t' finite at rest.
+    """
     error, rate = errors(setpoint, seen)
     tangent = setpoint.tangent
     speed = jnp.sqrt(dot(setpoint.velocity, setpoint.velocity) + rest_speed**2)
@@ -64,7 +70,15 @@ def contour_error(setpoint: Setpoint, seen: Measurement, rest_speed: Array) -> C
 
 
 def magnitude(error: ContourError, rounding: Array) -> tuple[Array, Array, Array]:
-    """E in m, E' in m/s and the direction n (axes,). rounding: () m, w > 0."""
+    """Smooth magnitude of the contour error.
+
+    Args:
+        error: of the tick.
+        rounding: w, () m, > 0.
+
+    Returns:
+        E, () m; E', () m/s; the direction n, (axes,), of length below 1.
+    """
     square = dot(error.deviation, error.deviation)
     length = jnp.sqrt(square + rounding**2)
     slope = dot(error.deviation, error.rate) / length
@@ -78,14 +92,26 @@ class PidTerms(NamedTuple):
     integral: Array
     derivative: Array
 
+    def weighted(self, proportional: Array, integral: Array, derivative: Array) -> Array:
+        """PID sum U = K_P P + K_I I + K_D D, (axes,) m/s2; gains () in 1/s2, 1/s3 and 1/s."""
+        return (
+            proportional * self.proportional
+            + integral * self.integral
+            + (derivative * self.derivative)
+        )
+
 
 @definition
 class Form:
-    """How a PID law reads the contour error.
+    """Form of a PID law on the contour error: how it reads eps, I and D.
 
-    start(zero): the integral at the start, from zeros (axes,). terms(params, error, integral):
-    `PidTerms`. rate(params, error, integral): derivative of the integral. share(params, error,
-    demand): the part of a demand (axes,) that the integral answers for, in its own shape.
+    Attributes:
+        name: what it is called.
+        start: (zeros (axes,)) -> the integral at the start, m s.
+        terms: (params, error, integral) -> `PidTerms`.
+        rate: (params, error, integral) -> derivative of the integral, m.
+        share: (params, error, demand (axes,)) -> the part of the demand that the integral answers
+            for, in the shape of the integral.
     """
 
     name: str
@@ -96,10 +122,19 @@ class Form:
 
 
 def unwinding(form: Form, params: Any, error: ContourError, cut: Array, stiffness: Array) -> Array:
-    """What the rate of the integral gets from a drive at its limit: share(cut) / stiffness.
+    """Back-calculation anti-windup: what the rate of the integral gets from a drive at its limit.
 
-    Back-calculation: the error that would have met the limit. cut: (axes,) m/s2, command minus
-    demand. stiffness: () 1/s2, K_P + K_I dt; without any, 0.
+    share(cut) / stiffness, the error that would have met the limit.
+
+    Args:
+        form: of the law.
+        params: of the form.
+        error: contour error of the tick.
+        cut: command minus demand, (axes,) m/s2.
+        stiffness: K_P + K_I dt, () 1/s2; without any the result is 0.
+
+    Returns:
+        Addition to the rate of the integral, m, in its shape.
     """
     soft = stiffness > 0
     answer = form.share(params, error, cut) / jnp.where(soft, stiffness, 1)

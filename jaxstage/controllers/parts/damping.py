@@ -1,4 +1,4 @@
-"""The damping function psi of a nonlinear sliding surface, and its rate.
+"""Damping function psi of a nonlinear sliding surface, and its rate.
 
     psi = beta / (1 - 1/e) [exp(rho - 1) - 1/e]                                     (8)
 
@@ -49,7 +49,12 @@ Psi = Callable[[Array, Array], Array]
 
 @definition
 class Damping:
-    """psi: apply(params, wanted, seen), from commanded and measured velocity in m/s."""
+    """A damping function psi.
+
+    Attributes:
+        name: what it is called.
+        apply: (params, commanded velocity m/s, measured velocity m/s) -> psi, () 1.
+    """
 
     name: str
     apply: Callable[[Any, Array, Array], Array]
@@ -74,26 +79,30 @@ def _of_ratio(final: Array, ratio: Array) -> Array:
     return final / (1 - math.exp(-1)) * (jnp.exp(ratio - 1) - math.exp(-1))
 
 
-def _blurred(params: BoundedDamping, wanted: Array, seen: Array) -> Array:
-    return (seen**2 + params.speed**2) / (wanted**2 + params.speed**2)
+def _blurred(params: BoundedDamping, commanded: Array, seen: Array) -> Array:
+    return (seen**2 + params.speed**2) / (commanded**2 + params.speed**2)
 
 
-def _raw(params: FinalDamping, wanted: Array, seen: Array) -> Array:
-    """Raises ValueError at wanted = 0 when called directly; in a compiled loop that gives NaN."""
-    if not isinstance(wanted, Tracer) and np.any(np.asarray(wanted) == 0):
+def _raw(params: FinalDamping, commanded: Array, seen: Array) -> Array:
+    """(8) as printed.
+
+    Raises:
+        ValueError: at a commanded velocity of 0 m/s, when called directly. Traced it gives NaN.
+    """
+    if not isinstance(commanded, Tracer) and np.any(np.asarray(commanded) == 0):
         raise ValueError("psi as printed is not defined at a commanded velocity of 0 m/s")
-    return _of_ratio(params.final, (seen / wanted) ** 2)
+    return _of_ratio(params.final, (seen / commanded) ** 2)
 
 
-def _bounded_below(params: BoundedDamping, wanted: Array, seen: Array) -> Array:
-    return _of_ratio(params.final, _blurred(params, wanted, seen))
+def _bounded_below(params: BoundedDamping, commanded: Array, seen: Array) -> Array:
+    return _of_ratio(params.final, _blurred(params, commanded, seen))
 
 
-def _bounded(params: BoundedDamping, wanted: Array, seen: Array) -> Array:
-    return _of_ratio(params.final, within(_blurred(params, wanted, seen), 0.0, 1.0))
+def _bounded(params: BoundedDamping, commanded: Array, seen: Array) -> Array:
+    return _of_ratio(params.final, within(_blurred(params, commanded, seen), 0.0, 1.0))
 
 
-def _constant(params: FinalDamping, wanted: Array, seen: Array) -> Array:
+def _constant(params: FinalDamping, commanded: Array, seen: Array) -> Array:
     return params.final
 
 
@@ -111,24 +120,31 @@ constant = Damping(name="constant", apply=_constant)
 
 
 class Motion(NamedTuple):
-    """What psi' is made of, at one tick.
+    """What psi' is made of, at one tick, each ().
 
-    wanted, wanted_rate: r' in m/s, r'' in m/s2. seen: y' in m/s. asked: acceleration a in m/s2 that
-    the law asks for without the term. feedback: sigma gam e in m/s, what the term makes of psi'.
+    Attributes:
+        commanded: r', m/s.
+        commanded_rate: r'', m/s2.
+        seen: y', m/s.
+        acceleration: a, what the law demands without the term, m/s2.
+        feedback: sigma gam e, what the term makes of psi', m/s.
     """
 
-    wanted: Array
-    wanted_rate: Array
+    commanded: Array
+    commanded_rate: Array
     seen: Array
-    asked: Array
+    acceleration: Array
     feedback: Array
 
 
 @definition
 class DampingRate:
-    """psi' in 1/s: of(psi, motion, last, dt), and the sign sigma of its term in the command.
+    """A form of psi', and the sign of its term in the command.
 
-    last: psi one period ago.
+    Attributes:
+        name: what it is called.
+        sign: sigma, 1 or -1.
+        of: (psi, motion, psi one period ago, dt s) -> psi', () 1/s.
     """
 
     name: str
@@ -141,15 +157,15 @@ def _ignored(psi: Psi, motion: Motion, last: Array, dt: float) -> Array:
 
 
 def _differenced(psi: Psi, motion: Motion, last: Array, dt: float) -> Array:
-    return (psi(motion.wanted, motion.seen) - last) / dt
+    return (psi(motion.commanded, motion.seen) - last) / dt
 
 
 def _modelled(psi: Psi, motion: Motion, last: Array, dt: float) -> Array:
-    """Floor of 0.1 under the denominator: chosen, so that psi' stays finite."""
-    at = (motion.wanted, motion.seen)
+    """The loop solved for psi'; its denominator is kept 0.1 from 0 (chosen)."""
+    at = (motion.commanded, motion.seen)
     zero, one = jnp.zeros_like(motion.seen), jnp.ones_like(motion.seen)
     _, by_seen = jax.jvp(psi, at, (zero, one))
-    _, free = jax.jvp(psi, at, (motion.wanted_rate, motion.asked))
+    _, free = jax.jvp(psi, at, (motion.commanded_rate, motion.acceleration))
     return free / away_from_zero(1 - by_seen * motion.feedback, 0.1)
 
 
@@ -165,11 +181,25 @@ def _checked(sign: int) -> int:
 
 @functools.cache
 def differenced(sign: int = 1) -> DampingRate:
-    """psi' from the last two samples. sign: sigma, 1 or -1, else ValueError."""
+    """Backward difference of psi over one period.
+
+    Args:
+        sign: sigma, 1 (consistent) or -1 (as printed).
+
+    Raises:
+        ValueError: for another sign.
+    """
     return DampingRate(name="differenced", sign=_checked(sign), of=_differenced)
 
 
 @functools.cache
 def modelled(sign: int = 1) -> DampingRate:
-    """psi' from the nominal model. sign: sigma, 1 or -1, else ValueError."""
+    """Model-based psi': the algebraic loop solved with the nominal axis.
+
+    Args:
+        sign: sigma, 1 (consistent) or -1 (as printed).
+
+    Raises:
+        ValueError: for another sign.
+    """
     return DampingRate(name="modelled", sign=_checked(sign), of=_modelled)

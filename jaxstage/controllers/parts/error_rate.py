@@ -1,4 +1,4 @@
-"""The rate of the following error, from the measured velocity or from the error itself.
+"""Rate of the following error, from the measured velocity or from the error itself.
 
     `measured`      e' = r' - y'
     `differenced`   e'_k = (e_k - e_{k-1}) / dt, the first sample as `measured`
@@ -19,7 +19,13 @@ from jaxstage.model.signals import Measurement, Setpoint
 
 @definition
 class ErrorRate:
-    """e' in m/s: init(error), then of(memory, setpoint, measurement, dt) -> (e', memory)."""
+    """A way to the rate of the following error.
+
+    Attributes:
+        name: what it is called.
+        init: (error m) -> memory.
+        of: (memory, setpoint, measurement, dt s) -> e' in m/s and the memory.
+    """
 
     name: str
     init: Callable[[Array], Any]

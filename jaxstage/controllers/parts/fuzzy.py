@@ -1,4 +1,4 @@
-"""A fuzzy system of two inputs: Gaussian sets, product inference, centre average.
+"""Fuzzy inference of two inputs: Gaussian sets, product inference, centre-average defuzzifier.
 
     mu_k(x) = exp(-((x - c_k) / sigma)^2)
     xi_ab = mu_a(x1) mu_b(x2) / sum,   sum of xi = 1,   y = sum_ab theta_ab xi_ab
@@ -33,20 +33,20 @@ HALF_CROSSING = 0.5 / math.sqrt(math.log(2.0))
 
 @pytree
 class FuzzySets:
-    """Gaussian sets of one input."""
+    """Gaussian fuzzy sets of one input."""
 
     centres: Array = gain("1", "c", "centres of the sets", shape="(sets,)")
     width: Array = gain("1", "sigma", "width of the sets", above=0.0)
 
 
 def seven_sets() -> FuzzySets:
-    """Centres -3 ... 3, neighbours crossing at one half."""
+    """The usual seven sets, NB to PB: centres -3 ... 3, neighbours crossing at one half."""
     centres, width = np.arange(-3.0, 4.0), np.array(HALF_CROSSING)
     return FuzzySets(centres=cast(Array, centres), width=cast(Array, width))
 
 
 def limited(x: Array) -> Array:
-    """3 tanh x: any input into the range of the sets, smoothly."""
+    """Smooth limiter 3 tanh x: any input into the range of the sets."""
     return REACH * jnp.tanh(x)
 
 
@@ -55,30 +55,46 @@ def _exponent(sets: FuzzySets, x: Array) -> Array:
 
 
 def membership(sets: FuzzySets, x: Array) -> Array:
-    """mu_k(x), (sets,). x: ()."""
+    """Degrees of membership mu_k(x), (sets,), at x, ()."""
     return jnp.exp(_exponent(sets, x))
 
 
 def degrees(sets: FuzzySets, x: Array) -> Array:
-    """mu_k(x) / sum of mu, (sets,); finite for any finite x. x: ()."""
+    """Normalised degrees of membership mu_k(x) / sum of mu, (sets,); finite for finite x, ()."""
     return jax.nn.softmax(_exponent(sets, x))
 
 
 def strengths(first: FuzzySets, second: FuzzySets, x1: Array, x2: Array) -> Array:
-    """xi, (sets of the first input, sets of the second); sum 1. x1, x2: ()."""
+    """Normalised rule strengths by product inference.
+
+    Args:
+        first: sets of the first input.
+        second: sets of the second.
+        x1: first input, ().
+        x2: second input, ().
+
+    Returns:
+        xi, (sets of the first input, sets of the second), of sum 1.
+    """
     return degrees(first, x1)[:, None] * degrees(second, x2)[None, :]
 
 
 def infer(consequents: Array, xi: Array) -> Array:
-    """y = sum theta xi. consequents, xi: (sets, sets)."""
+    """Centre-average defuzzifier y = sum theta xi, (); consequents and xi: (sets, sets)."""
     return jnp.sum(consequents * xi)
 
 
 def levels(table: str) -> np.ndarray:
     """A rule table in words as numbers -3 (NB) ... 3 (PB).
 
-    table: rows in lines, labels apart by blanks. Raises ValueError for an unknown label and for
-    rows of different lengths.
+    Args:
+        table: rows in lines, labels apart by blanks.
+
+    Returns:
+        (rows, columns), whole numbers.
+
+    Raises:
+        ValueError: for an unknown label, and for rows of different lengths.
     """
     rows = [line.split() for line in table.strip().splitlines()]
     if len({len(row) for row in rows}) != 1:
@@ -90,22 +106,33 @@ def levels(table: str) -> np.ndarray:
 
 
 def consequents(base: float, spread: float, table: str) -> Array:
-    """base + spread level / 3 of every rule, in the unit of ``base``, as a numpy array."""
+    """Rule consequents base + spread level / 3.
+
+    Args:
+        base: consequent of the rules ZO.
+        spread: of the rules PB above it, in its unit.
+        table: the rules in words, see `levels`.
+
+    Returns:
+        (rows, columns) in the unit of ``base``, a numpy array.
+    """
     return cast(Array, base + spread * levels(table) / 3)
 
 
 def set_names(count: int) -> tuple[str, ...]:
-    """Names of ``count`` sets: those of seven, else numbers from 1."""
+    """Linguistic labels of ``count`` sets: those of seven, else numbers from 1."""
     return LABELS if count == len(LABELS) else tuple(str(k + 1) for k in range(count))
 
 
 def rules_text(
     values: Array | np.ndarray, output: str, inputs: tuple[str, str] = ("X1", "X2")
 ) -> str:
-    """The rule base as people read it, one line a row of the first input.
+    """A rule base as people read it, one line a row of the first input.
 
-    values: consequents (sets of the first input, of the second). output: name and unit, e.g.
-    ``K_P in 1/s2``. inputs: names of the two.
+    Args:
+        values: consequents, (sets of the first input, sets of the second).
+        output: name and unit, e.g. ``K_P in 1/s2``.
+        inputs: names of the two.
     """
     table = np.asarray(values, float)
     names, labels = map(set_names, table.shape)

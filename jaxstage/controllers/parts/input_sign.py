@@ -1,4 +1,4 @@
-"""q, the sign of d(theta)/du in an adaptive law: which way the input is taken to move the axis.
+"""Sign of the input gain, q = sgn d(theta)/du: which way the input is taken to move the axis.
 
 | form | q | remark |
 |---|---|---|
@@ -18,12 +18,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.model.fields import definition, pytree, signal
+from jaxstage.model.signals import Measurement
 from jaxstage.numerics.smooth import sign
 
 
 @pytree
 class Exchange:
-    """What the axis was told and did, in this sample and the one before."""
+    """Input and output of an axis, in this sample and the one before."""
 
     position: Array = signal("m", "y", "measured position")
     velocity: Array = signal("m/s", "y'", "measured velocity")
@@ -31,10 +32,25 @@ class Exchange:
     last_position: Array = signal("m", "y_k-1", "measured position before")
     last_command: Array = signal("command", "u_k-1", "command before")
 
+    def seen_next(self, measurement: Measurement) -> "Exchange":
+        """The exchange one sample on; its command is still that of this sample."""
+        return Exchange(
+            position=measurement.position,
+            velocity=measurement.velocity,
+            command=self.command,
+            last_position=self.position,
+            last_command=self.command,
+        )
+
 
 @definition
 class InputSign:
-    """q in {-1, 0, 1} of a sample."""
+    """A reading of q.
+
+    Attributes:
+        name: what it is called.
+        of: q in {-1, 0, 1} of an `Exchange`, in the shape of its position.
+    """
 
     name: str
     of: Callable[[Exchange], Array]

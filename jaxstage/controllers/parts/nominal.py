@@ -1,4 +1,4 @@
-"""What a law assumes about its axis. Not tuned, and not changed when the true plant changes."""
+"""Nominal model of an axis: what a law assumes, whatever the true plant is. It is not tuned."""
 
 from jax import Array
 
@@ -17,10 +17,15 @@ class RigidAxis:
 
 
 def authority(nominal: RigidAxis) -> Array:
-    """b = K_t / M: acceleration per command, m/s2 per command unit."""
+    """Input gain b = K_t / M: acceleration per command, m/s2 per command unit."""
     return nominal.force_constant / nominal.mass
 
 
 def drift(nominal: RigidAxis, velocity: Array) -> Array:
-    """f = -(B v + F_L) / M in m/s2: what the axis does without command and dry friction."""
+    """Drift f = -(B v + F_L) / M in m/s2: the acceleration without command and dry friction.
+
+    Args:
+        nominal: the axis.
+        velocity: v, m/s.
+    """
     return -(nominal.damping * velocity + nominal.load) / nominal.mass

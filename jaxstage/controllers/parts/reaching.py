@@ -1,4 +1,4 @@
-"""The reaching gain K of a sliding-mode law: how fast s decays, s' = -K s, and how K adapts.
+"""Reaching law s' = -K s of sliding mode: the gain K, and how it adapts.
 
 | form | K' | range | params |
 |---|---|---|---|
@@ -34,7 +34,13 @@ from jaxstage.numerics.smooth import away_from_zero, beyond, magnitude, switched
 
 @definition
 class ReachingGain:
-    """K in 1/s: start(params), then update(params, K, s, dt) once a period."""
+    """A form of the reaching gain.
+
+    Attributes:
+        name: what it is called.
+        start: (params) -> K, () 1/s.
+        update: (params, K 1/s, s m/s, dt s) -> K of the next sample, once a period.
+    """
 
     name: str
     start: Callable[[Any], Array]
