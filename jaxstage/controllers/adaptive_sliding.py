@@ -139,7 +139,9 @@ def _control(
 
 
 @functools.cache
-def adaptive_sliding(input_sign: InputSign = forward) -> Controller:
+def adaptive_sliding(
+    input_sign: InputSign = forward,
+) -> Controller[AdaptiveSliding, AdaptiveMemory]:
     """Adaptive sliding-mode law of one axis; gains `AdaptiveSliding`.
 
     Args:

@@ -69,7 +69,9 @@ def _init(gains: CmacSliding, setpoint: Setpoint, measurement: Measurement) -> C
 
 
 @functools.cache
-def cmac_sliding(receptive: Receptive = gaussian, switch: Switch = exact) -> Controller:
+def cmac_sliding(
+    receptive: Receptive = gaussian, switch: Switch = exact
+) -> Controller[CmacSliding, CmacMemory]:
     """CMAC sliding-mode law of one axis; gains `CmacSliding`.
 
     Args:

@@ -9,22 +9,25 @@ command would take the coupling for a disturbance and cancel it.
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.model.blocks import Controller
+from jaxstage.model.blocks import Controller, Gains, Memory
 from jaxstage.model.fields import Quantity, known, map_leaves, part, pytree, replace
 from jaxstage.model.signals import Measurement, Setpoint
+
+#: gains with a ``law`` and an ``extra`` part
+Pair = TypeVar("Pair", "Both", "Coupled")
 
 #: which parts of a Setpoint belong to one axis
 _PER_AXIS = Setpoint(position=0, velocity=0, acceleration=0, tangent=0, curvature=None)  # type: ignore[arg-type]
 
 
 @functools.cache
-def per_axis(law: Controller) -> Controller:
+def per_axis(law: Controller[Gains, Memory]) -> Controller[Gains, Memory]:
     """Decentralised control: the same law on every axis, each with its own gains.
 
     Args:
@@ -38,22 +41,24 @@ def per_axis(law: Controller) -> Controller:
     control = jax.vmap(law.control, in_axes=(0, 0, _PER_AXIS, 0, None))
     settle = jax.vmap(law.settle, in_axes=(0, 0, 0, 0, None))
 
-    def init_all(gains: Any, setpoint: Setpoint, measurement: Measurement) -> Any:
+    def init_all(gains: Gains, setpoint: Setpoint, measurement: Measurement) -> Memory:
         return init(_on_axes(gains, setpoint.position.shape[0]), setpoint, measurement)
 
     def control_all(
-        gains: Any, memory: Any, setpoint: Setpoint, measurement: Measurement, dt: float
-    ) -> tuple[Array, Any]:
+        gains: Gains, memory: Memory, setpoint: Setpoint, measurement: Measurement, dt: float
+    ) -> tuple[Array, Memory]:
         spread = _on_axes(gains, setpoint.position.shape[0])
         return control(spread, memory, setpoint, measurement, dt)
 
-    def settle_all(gains: Any, memory: Any, demand: Array, command: Array, dt: float) -> Any:
+    def settle_all(
+        gains: Gains, memory: Memory, demand: Array, command: Array, dt: float
+    ) -> Memory:
         return settle(_on_axes(gains, demand.shape[0]), memory, demand, command, dt)
 
     return replace(law, init=init_all, control=control_all, settle=settle_all)
 
 
-def _on_axes(gains: Any, axes: int) -> Any:
+def _on_axes(gains: Gains, axes: int) -> Gains:
     """Gains with a leading (axes,) on every leaf that has the shape of one axis."""
 
     def spread(quantity: Quantity, value: Array) -> Array:
@@ -72,7 +77,7 @@ class Both:
 
 
 @functools.cache
-def plus(law: Controller, extra: Controller) -> Controller:
+def plus(law: Controller, extra: Controller) -> Controller[Both, Both]:
     """Sum of two laws, u = u_law + u_extra: feed-forward, or an observer, around any law.
 
     An observer is a law whose demand is what cancels its estimate, in command units, and whose
@@ -101,7 +106,7 @@ class Coupled:
 
 
 @functools.cache
-def cross_coupled(axis: Controller, contour: Controller) -> Controller:
+def cross_coupled(axis: Controller, contour: Controller) -> Controller[Coupled, Both]:
     """Cross-coupled control, u = u_axis + U / a_n.
 
     The nominal command per acceleration lets any law be wrapped, and makes unequal axes answer in
@@ -123,24 +128,24 @@ def cross_coupled(axis: Controller, contour: Controller) -> Controller:
 
 
 def _summed(
-    name: str, law: Controller, extra: Controller, unit: Callable[[Any], Array | float]
-) -> Controller:
+    name: str, law: Controller, extra: Controller, unit: Callable[[Pair], Array | float]
+) -> Controller[Pair, Both]:
     """The sum of two laws; ``unit(gains)``: command units in one unit of the extra law."""
 
-    def init(gains: Any, setpoint: Setpoint, measurement: Measurement) -> Both:
+    def init(gains: Pair, setpoint: Setpoint, measurement: Measurement) -> Both:
         return Both(
             law=law.init(gains.law, setpoint, measurement),
             extra=extra.init(gains.extra, setpoint, measurement),
         )
 
     def control(
-        gains: Any, memory: Both, setpoint: Setpoint, measurement: Measurement, dt: float
+        gains: Pair, memory: Both, setpoint: Setpoint, measurement: Measurement, dt: float
     ) -> tuple[Array, Both]:
         first, kept = law.control(gains.law, memory.law, setpoint, measurement, dt)
         second, added = extra.control(gains.extra, memory.extra, setpoint, measurement, dt)
         return first + unit(gains) * second, Both(law=kept, extra=added)
 
-    def settle(gains: Any, memory: Both, demand: Array, command: Array, dt: float) -> Both:
+    def settle(gains: Pair, memory: Both, demand: Array, command: Array, dt: float) -> Both:
         return Both(
             law=law.settle(gains.law, memory.law, demand, command, dt),
             extra=extra.settle(
@@ -148,7 +153,7 @@ def _summed(
             ),
         )
 
-    def longest_period(gains: Any) -> Array:
+    def longest_period(gains: Pair) -> Array:
         both = law.longest_period(gains.law), extra.longest_period(gains.extra)
         return jnp.minimum(*(jnp.min(jnp.asarray(period)) for period in both))
 
@@ -167,8 +172,8 @@ class Offset:
 
 @functools.cache
 def offset_setpoint(
-    law: Controller, name: str, shift: Callable[[Any, Setpoint], Array]
-) -> Controller:
+    law: Controller[Any, Memory], name: str, shift: Callable[[Any, Setpoint], Array]
+) -> Controller[Offset, Memory]:
     """Setpoint offset: the law follows r + shift; metrics keep the original r.
 
     Velocity and acceleration of the setpoint stay.
@@ -185,15 +190,15 @@ def offset_setpoint(
     def moved(gains: Offset, setpoint: Setpoint) -> Setpoint:
         return replace(setpoint, position=setpoint.position + shift(gains.offset, setpoint))
 
-    def init(gains: Offset, setpoint: Setpoint, measurement: Measurement) -> Any:
+    def init(gains: Offset, setpoint: Setpoint, measurement: Measurement) -> Memory:
         return law.init(gains.law, moved(gains, setpoint), measurement)
 
     def control(
-        gains: Offset, memory: Any, setpoint: Setpoint, measurement: Measurement, dt: float
-    ) -> tuple[Array, Any]:
+        gains: Offset, memory: Memory, setpoint: Setpoint, measurement: Measurement, dt: float
+    ) -> tuple[Array, Memory]:
         return law.control(gains.law, memory, moved(gains, setpoint), measurement, dt)
 
-    def settle(gains: Offset, memory: Any, demand: Array, command: Array, dt: float) -> Any:
+    def settle(gains: Offset, memory: Memory, demand: Array, command: Array, dt: float) -> Memory:
         return law.settle(gains.law, memory, demand, command, dt)
 
     return Controller(

@@ -210,7 +210,7 @@ def _shown(gains: FuzzyPidContour, learned: Learned, error: ContourError) -> Fuz
 
 
 @functools.cache
-def fuzzy_pid_contour(form: Form = vector) -> Controller:
+def fuzzy_pid_contour(form: Form = vector) -> Controller[FuzzyPidContour, FuzzyPidMemory]:
     """Fuzzy PID contour law of any number of axes, for `cross_coupled`; gains `FuzzyPidContour`.
 
     Args:

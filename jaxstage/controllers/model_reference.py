@@ -116,7 +116,7 @@ def _compensated(
 
 
 @functools.cache
-def model_reference(law: Controller) -> Controller:
+def model_reference(law: Controller) -> Controller[ModelReference, ModelMemory]:
     """A law around the adaptive inner loop; gains `ModelReference`.
 
     Args:

@@ -68,7 +68,7 @@ def nonlinear_surface(
     switch: Switch = exact,
     damping_rate: DampingRate = ignored,
     error_rate: ErrorRate = measured,
-) -> Controller:
+) -> Controller[NonlinearSurface, SurfaceMemory]:
     """Nonlinear-surface sliding-mode law of one axis; gains `NonlinearSurface`.
 
     Args:

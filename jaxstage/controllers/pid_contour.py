@@ -66,7 +66,7 @@ def rate(form: Form, gains: PidContour, memory: PidContourMemory) -> Array:
 
 
 @functools.cache
-def pid_contour(form: Form = vector) -> Controller:
+def pid_contour(form: Form = vector) -> Controller[PidContour, PidContourMemory]:
     """PID contour law of any number of axes, for `cross_coupled`; gains `PidContour`.
 
     Args:

@@ -12,11 +12,12 @@ Source: Zhang et al., Sensors 2023, 23, 9755, section 5.3.
 """
 
 import functools
+from typing import Any
 
 from jax import Array
 
-from jaxstage.controllers.compose import offset_setpoint
-from jaxstage.model.blocks import Controller
+from jaxstage.controllers.compose import Offset, offset_setpoint
+from jaxstage.model.blocks import Controller, Memory
 from jaxstage.model.fields import gain, pytree
 from jaxstage.model.signals import Setpoint
 from jaxstage.numerics.smooth import sign
@@ -34,7 +35,7 @@ def _shift(gains: PositionFeedforward, setpoint: Setpoint) -> Array:
 
 
 @functools.cache
-def position_feedforward(law: Controller) -> Controller:
+def position_feedforward(law: Controller[Any, Memory]) -> Controller[Offset, Memory]:
     """Position feed-forward around a law of any number of axes.
 
     Args:

@@ -52,7 +52,7 @@ def _init(gains: Sliding, setpoint: Setpoint, measurement: Measurement) -> Slidi
 
 
 @functools.cache
-def sliding(switch: Switch = exact) -> Controller:
+def sliding(switch: Switch = exact) -> Controller[Sliding, SlidingMemory]:
     """Ideal sliding-mode law of one axis; gains `Sliding`.
 
     Args:

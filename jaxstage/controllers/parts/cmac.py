@@ -11,12 +11,13 @@ width in the same unit, so that block centres stand at ``4 block + layer - 1`` i
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Generic
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxstage.model.blocks import Params
 from jaxstage.model.fields import definition, gain, pytree
 from jaxstage.numerics.smooth import cell, within
 
@@ -54,7 +55,7 @@ def blocks(z: Array) -> tuple[Array, Array]:
 
 
 @definition
-class Receptive:
+class Receptive(Generic[Params]):
     """Receptive field: how strongly an active hypercube answers.
 
     Attributes:
@@ -64,7 +65,7 @@ class Receptive:
     """
 
     name: str
-    strength: Callable[[Any, Array, Array], Array]
+    strength: Callable[[Params, Array, Array], Array]
 
 
 def _crisp(params: tuple[()], first: Array, second: Array) -> Array:
@@ -92,7 +93,7 @@ gaussian = Receptive(name="gaussian", strength=_gaussian)
 
 
 def features(
-    receptive: Receptive, params: Any, first: Array, second: Array
+    receptive: Receptive[Params], params: Params, first: Array, second: Array
 ) -> tuple[tuple[Array, Array, Array], Array]:
     """Association: the active hypercubes and their strength.
 

@@ -26,12 +26,13 @@ projection, the rounding w, v_0 and the transport are derived here.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Generic, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.controllers.parts.surface import errors
+from jaxstage.model.blocks import Params
 from jaxstage.model.fields import definition, gain, pytree, signal
 from jaxstage.model.signals import Measurement, Setpoint
 from jaxstage.numerics.geometry import dot, normal_part
@@ -102,7 +103,7 @@ class PidTerms(NamedTuple):
 
 
 @definition
-class Form:
+class Form(Generic[Params]):
     """Form of a PID law on the contour error: how it reads eps, I and D.
 
     Attributes:
@@ -116,12 +117,14 @@ class Form:
 
     name: str
     start: Callable[[Array], Array]
-    terms: Callable[[Any, ContourError, Array], PidTerms]
-    rate: Callable[[Any, ContourError, Array], Array]
-    share: Callable[[Any, ContourError, Array], Array]
+    terms: Callable[[Params, ContourError, Array], PidTerms]
+    rate: Callable[[Params, ContourError, Array], Array]
+    share: Callable[[Params, ContourError, Array], Array]
 
 
-def unwinding(form: Form, params: Any, error: ContourError, cut: Array, stiffness: Array) -> Array:
+def unwinding(
+    form: Form[Params], params: Params, error: ContourError, cut: Array, stiffness: Array
+) -> Array:
     """Back-calculation anti-windup: what the rate of the integral gets from a drive at its limit.
 
     share(cut) / stiffness, the error that would have met the limit.

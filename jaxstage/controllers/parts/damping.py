@@ -32,7 +32,7 @@ rates are choices: the paper leaves reversals and the loop open.
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Generic, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,7 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
+from jaxstage.model.blocks import Params
 from jaxstage.model.fields import definition, gain, pytree
 from jaxstage.numerics.smooth import away_from_zero, within
 
@@ -48,7 +49,7 @@ Psi = Callable[[Array, Array], Array]
 
 
 @definition
-class Damping:
+class Damping(Generic[Params]):
     """A damping function psi.
 
     Attributes:
@@ -57,7 +58,7 @@ class Damping:
     """
 
     name: str
-    apply: Callable[[Any, Array, Array], Array]
+    apply: Callable[[Params, Array, Array], Array]
 
 
 @pytree

@@ -7,18 +7,19 @@ The two differ where r' is not the mean velocity of the reference over the perio
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Generic
 
 import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.controllers.parts.surface import errors
+from jaxstage.model.blocks import Memory
 from jaxstage.model.fields import definition, pytree, signal
 from jaxstage.model.signals import Measurement, Setpoint
 
 
 @definition
-class ErrorRate:
+class ErrorRate(Generic[Memory]):
     """A way to the rate of the following error.
 
     Attributes:
@@ -28,8 +29,8 @@ class ErrorRate:
     """
 
     name: str
-    init: Callable[[Array], Any]
-    of: Callable[[Any, Setpoint, Measurement, float], tuple[Array, Any]]
+    init: Callable[[Array], Memory]
+    of: Callable[[Memory, Setpoint, Measurement, float], tuple[Array, Memory]]
 
 
 @pytree

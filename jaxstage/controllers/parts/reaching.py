@@ -24,16 +24,17 @@ reference [32]. The cap is a choice. All values of (14) are missing there.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Generic
 
 from jax import Array
 
+from jaxstage.model.blocks import Params
 from jaxstage.model.fields import definition, gain, pytree
 from jaxstage.numerics.smooth import away_from_zero, beyond, magnitude, switched, within
 
 
 @definition
-class ReachingGain:
+class ReachingGain(Generic[Params]):
     """A form of the reaching gain.
 
     Attributes:
@@ -43,8 +44,8 @@ class ReachingGain:
     """
 
     name: str
-    start: Callable[[Any], Array]
-    update: Callable[[Any, Array, Array, float], Array]
+    start: Callable[[Params], Array]
+    update: Callable[[Params, Array, Array, float], Array]
 
 
 @pytree
@@ -75,7 +76,7 @@ class IntegralGain:
     cap: Array = gain("1/s", "K_max", "largest K", above=0.0, infinite=True)
 
 
-def _start(params: Any) -> Array:
+def _start(params: FixedGain | AdaptiveGain | IntegralGain) -> Array:
     return params.start
 
 
