@@ -1,8 +1,9 @@
-"""Commanded motions. Table of contents.
+"""Reference trajectories (commanded motions). Table of contents.
 
 A curve (`Nurbs`; `circle`, `bowknot`, `heart`, `star` are published ones) and a timing
 (`uniform_parameter`, `constant_feed`) make a stored lap (`make_path`), which `sampled` follows.
-`analytic`, `helical` and `nurbs_lap` compute the motion inside the tick instead.
+`analytic`, `helical`, `swinging`, `stepping`, `trifolium` and `nurbs_lap` compute the motion inside
+the tick instead.
 """
 
 from jaxstage.references.curves import bowknot as bowknot

@@ -1,4 +1,4 @@
-"""Arc length of a NURBS and its inverse, to double precision (host only, numpy).
+"""Arc-length parametrisation of a NURBS, to double precision (host only, numpy).
 
 s(u) = integral of |C'|, by Gauss quadrature over cells that never cross a knot; the number of
 cells is doubled until the length stands still. A cusp (C' = 0 with a reversal) belongs on a knot.
@@ -16,7 +16,7 @@ SNAP = 1e-13  # of the lap: a distance below this from a knot means the knot
 
 @pytree
 class ArcTable:
-    """Arc length at the edges of the quadrature cells, along one lap."""
+    """Arc-length table: s at the edges of the quadrature cells, along one lap."""
 
     u: np.ndarray = signal("1", "u", "parameter at the edges", shape="(cells + 1,)")
     arc: np.ndarray = signal("m", "s", "arc length at the edges", shape="(cells + 1,)")
@@ -29,7 +29,7 @@ def as_double(curve: Nurbs) -> Nurbs:
 
 
 def spans(curve: Nurbs) -> np.ndarray:
-    """Indices of the non-empty knot spans, in order, int32."""
+    """Indices of the non-empty knot spans, (spans,) int32, in order."""
     index = np.arange(degree(curve), len(curve.weights), dtype=np.int32)
     return index[np.diff(curve.knots)[index] > 0]
 
@@ -43,7 +43,11 @@ def _integral(curve: Nurbs, span: np.ndarray, a: np.ndarray, b: np.ndarray) -> n
 
 
 def arc_table(curve: Nurbs) -> ArcTable:
-    """The table of a float64 curve. Raises ValueError when it has no length."""
+    """Arc-length table of a float64 curve.
+
+    Raises:
+        ValueError: when the curve has no length.
+    """
     used, total = spans(curve), -1.0
     for cells in (4, 8, 16, 32, 64, 128, 256, 512, 1024):
         span = np.repeat(used, cells)
@@ -61,15 +65,30 @@ def arc_table(curve: Nurbs) -> ArcTable:
 
 
 def arc_at(curve: Nurbs, table: ArcTable, u: np.ndarray) -> np.ndarray:
-    """s(u) in m, (m,). u: (m,) within the knots."""
+    """Arc length s(u).
+
+    Args:
+        curve: in float64.
+        table: its `arc_table`.
+        u: (m,) within the knots.
+
+    Returns:
+        (m,) m since the start of the lap.
+    """
     cell = np.clip(np.searchsorted(table.u, u, side="right") - 1, 0, len(table.span) - 1)
     return table.arc[cell] + _integral(curve, table.span[cell], table.u[cell], u)
 
 
 def parameter_at(curve: Nurbs, table: ArcTable, arc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Knot span and u with s(u) = arc, by safeguarded Newton; right limit at a knot.
+    """Inverse of the arc length by safeguarded Newton; right limit at a knot.
 
-    arc: (m,) m, within [0, length].
+    Args:
+        curve: in float64.
+        table: its `arc_table`.
+        arc: (m,) m, within [0, length].
+
+    Returns:
+        Knot span and u with s(u) = arc, both (m,).
     """
     cell = np.searchsorted(table.arc, arc + SNAP * table.arc[-1], side="right") - 1
     cell = np.clip(cell, 0, len(table.span) - 1)

@@ -1,6 +1,6 @@
-"""The four contours of Mao et al., Energies 2021, 14, 7802, Table 1 (quadratic NURBS).
+"""Published test contours: the four quadratic NURBS of Mao et al., Energies 2021, 14, 7802.
 
-The table is in centimetres; these are metres. It lists 15 weights for the star's 13 control
+Table 1 there is in centimetres; these are metres. It lists 15 weights for the star's 13 control
 points; all are 1, so 13 ones are meant.
 """
 
@@ -32,8 +32,6 @@ def heart() -> Nurbs:
 
 def star() -> Nurbs:
     """A five-pointed star with two corners of 63.435 degrees, at u = 0.1 and u = 0.8."""
-    points = [
-        (0, 6), (-0.5, 6), (-1.5, 4), (-4, 4), (-2, 2), (-2.5, 0), (0, 1.5),
-        (2.5, 0), (2, 2), (4, 4), (1.5, 4), (0.5, 6), (0, 6),
-    ]  # fmt: skip
-    return nurbs(np.array(points) / 100, TENTHS)
+    half = [(0, 6), (-0.5, 6), (-1.5, 4), (-4, 4), (-2, 2), (-2.5, 0), (0, 1.5)]
+    other = [(-x, y) for x, y in half[-2::-1]]
+    return nurbs(np.array(half + other) / 100, TENTHS)

@@ -1,4 +1,4 @@
-"""A screw-shaped curve about z, run through at constant speed.
+"""Helix about z, run through at constant speed.
 
     r(t) = (R cos w t, R sin w t, v_z t)
 
@@ -12,19 +12,19 @@ lost there and the usual one taken.
 from functools import cache
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxstage.model.blocks import Reference
 from jaxstage.model.fields import param, pytree, replace
 from jaxstage.model.signals import Nearest
 from jaxstage.numerics.geometry import norm
+from jaxstage.references.checked import finite
 from jaxstage.references.motion import analytic
 
 
 @pytree
 class Helix:
-    """A screw-shaped motion."""
+    """Parameters of a helical motion."""
 
     radius: Array = param("m", "R", "radius", low=0.0, shown="mm")
     turn_rate: Array = param("rad/s", "w", "angular speed about z")
@@ -32,20 +32,24 @@ class Helix:
 
 
 def helix(radius: float, turn_rate: float, climb_rate: float) -> Helix:
-    """A checked helix. radius: m, >= 0. turn_rate: rad/s. climb_rate: m/s.
+    """Checked parameters of a helix.
 
-    Raises ValueError for a negative radius, NaN or infinity.
+    Args:
+        radius: R, m, >= 0.
+        turn_rate: w, rad/s.
+        climb_rate: v_z, m/s.
+
+    Raises:
+        ValueError: for a negative radius, NaN or infinity.
     """
-    for name, value in (("radius", radius), ("turn_rate", turn_rate), ("climb_rate", climb_rate)):
-        if not np.isfinite(value):
-            raise ValueError(f"{name} must be finite; got {value!r}")
+    curve = Helix(
+        radius=finite("radius", radius),
+        turn_rate=finite("turn_rate", turn_rate),
+        climb_rate=finite("climb_rate", climb_rate),
+    )
     if radius < 0:
         raise ValueError(f"radius must be >= 0 m; got {radius!r}")
-    return Helix(
-        radius=np.asarray(radius, float),  # type: ignore[arg-type]
-        turn_rate=np.asarray(turn_rate, float),  # type: ignore[arg-type]
-        climb_rate=np.asarray(climb_rate, float),  # type: ignore[arg-type]
-    )
+    return curve
 
 
 def _position(curve: Helix, time: Array) -> Array:
@@ -56,17 +60,20 @@ def _position(curve: Helix, time: Array) -> Array:
 
 
 @cache
-def helical(dt: float) -> Reference:
-    """The motion along a `Helix`, computed in the tick; axes x, y, z. dt: control period in s.
+def helical(dt: float) -> Reference[Helix]:
+    """Helical motion, computed in the tick; axes x, y, z; parameters `Helix`.
 
     The arc of the nearest point counts from the start of the motion.
+
+    Args:
+        dt: control period in s.
     """
     motion = analytic("helical", _position, dt)
 
     def nearest(curve: Helix, tick: Array, tool: Array) -> Nearest:
-        found = motion.nearest(curve, tick, tool)
+        point = motion.nearest(curve, tick, tool)
         along, up = curve.radius * curve.turn_rate, curve.climb_rate
         speed = norm(jnp.stack([jnp.asarray(along), jnp.asarray(up)]))
-        return replace(found, arc=found.arc + speed * jnp.asarray(tick).astype(speed.dtype) * dt)
+        return replace(point, arc=point.arc + speed * jnp.asarray(tick).astype(speed.dtype) * dt)
 
     return replace(motion, nearest=nearest)

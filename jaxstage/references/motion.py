@@ -1,4 +1,4 @@
-"""Motions computed inside the tick: no stored path, so every run of a batch may have its own.
+"""Trajectories computed inside the tick: nothing is stored, so every run may have its own.
 
 `analytic` takes any position function of time; `nurbs_lap` runs through a NURBS whose arrays are
 the parameters. Both are cached: equal arguments give the identical definition.
@@ -25,13 +25,17 @@ Position = Callable[[Any, Array], Array]
 
 
 @cache
-def analytic(name: str, position: Position, dt: float) -> Reference:
-    """r(t), r'(t), r''(t) by nested differentiation at t = k dt.
+def analytic(name: str, position: Position, dt: float) -> Reference[Any]:
+    """Analytic trajectory: r(t), r'(t), r''(t) by nested differentiation at t = k dt.
 
-    position: a pure function (params, time () s) -> (axes,) m. dt: s.
     Where |r'| <= 1e-6 dt |r''| (rest, reversal) the tangent is that of r'' and the curvature 0.
     ``nearest`` is Newton on the time, from the commanded time, 6 steps; there is no lap, so its
     `arc` counts from the commanded point (negative: behind it).
+
+    Args:
+        name: unique in the library.
+        position: r, a pure function (params, time () s) -> (axes,) m.
+        dt: control period in s.
     """
     return Reference(
         name=name,
@@ -93,14 +97,21 @@ def _quadrature(integrand: Callable[[Array], Array], start: Array, end: Array) -
 
 
 @cache
-def nurbs_lap(ticks_per_lap: int, dt: float) -> Reference:
-    """u = u_0 + (u_end - u_0) (k mod n)/n, u' = (u_end - u_0)/(n dt); the parameters are a `Nurbs`.
+def nurbs_lap(ticks_per_lap: int, dt: float) -> Reference[Nurbs]:
+    """Uniform-parameter lap of a NURBS, computed in every tick; the parameters are a `Nurbs`.
 
-    ticks_per_lap: n. dt: s. The same setpoints as `make_path` with `uniform_parameter`, computed
-    from the curve in every tick.
+    u = u_0 + (u_end - u_0) (k mod n)/n, u' = (u_end - u_0)/(n dt): the setpoints of `make_path`
+    with `uniform_parameter`.
     ``nearest`` is Newton on u within the commanded span and, each on its own, the spans before
     and after it (over the closure too). So corners are exact, as long as the nearest point is
-    not beyond a neighbouring span. Raises ValueError for n < 1.
+    not beyond a neighbouring span.
+
+    Args:
+        ticks_per_lap: n.
+        dt: control period in s.
+
+    Raises:
+        ValueError: for n < 1.
     """
     if ticks_per_lap < 1:
         raise ValueError(f"ticks_per_lap must be >= 1; got {ticks_per_lap}")

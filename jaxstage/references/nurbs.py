@@ -31,9 +31,15 @@ def nurbs(
 ) -> Nurbs:
     """A checked curve with float64 numpy leaves (host only).
 
-    control_points: (points, axes) m. knots: (points + degree + 1,). weights: (points,), all 1
-    when left out. Raises ValueError on wrong counts, decreasing knots, unclamped ends, an
-    interior multiplicity above the degree, a weight <= 0, NaN or infinity.
+    Args:
+        control_points: V, (points, axes) m.
+        knots: U, (points + degree + 1,), clamped.
+        weights: w, (points,), > 0; all 1 when left out.
+        degree: >= 1.
+
+    Raises:
+        ValueError: on wrong counts, decreasing knots, unclamped ends, an interior multiplicity
+            above the degree, a weight <= 0, NaN or infinity.
     """
     points = np.asarray(control_points, dtype=np.float64)
     if points.ndim != 2 or points.size == 0:
@@ -111,15 +117,20 @@ def is_closed(curve: Nurbs) -> bool:
 
 
 def evaluate(curve: Nurbs, u: Array | float) -> Array:
-    """C(u), (axes,) m. u: () within [u_0, u_end]; beyond it the end span goes on."""
+    """Point C(u), (axes,) m. u: () within [u_0, u_end]; beyond it the end span goes on."""
     return derivatives(curve, u)[0]
 
 
 def derivatives(curve: Nurbs, u: Array | float) -> tuple[Array, Array, Array]:
-    """C(u), C'(u), C''(u), each (axes,) m: the right limit at a knot.
+    """Point and derivatives C(u), C'(u), C''(u): the right limit at a knot.
 
-    u: () within [u_0, u_end]; beyond it the polynomial of the end span goes on (a pure function
-    cannot refuse; `points` does).
+    Args:
+        curve: of any float type.
+        u: () within [u_0, u_end]; beyond it the polynomial of the end span goes on (a pure function
+            cannot refuse; `points` does).
+
+    Returns:
+        C, C', C'', each (axes,) m.
     """
     curve = jax.tree.map(jnp.asarray, curve)
     u = jnp.asarray(u, curve.knots.dtype)
@@ -127,7 +138,15 @@ def derivatives(curve: Nurbs, u: Array | float) -> tuple[Array, Array, Array]:
 
 
 def points(curve: Nurbs, u: ArrayLike) -> np.ndarray:
-    """C(u) in float64, (..., axes) m (host only). u: (...). Refuses u outside [u_0, u_end]."""
+    """Points C(u) in float64, (..., axes) m (host only).
+
+    Args:
+        curve: of any float type.
+        u: (...).
+
+    Raises:
+        ValueError: for u outside [u_0, u_end].
+    """
     curve = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), curve)
     u = np.asarray(u, np.float64)
     first, last = curve.knots[0], curve.knots[-1]
@@ -137,19 +156,32 @@ def points(curve: Nurbs, u: ArrayLike) -> np.ndarray:
 
 
 def span_of(curve: Nurbs, u: Any, slack: Any = 0.0) -> Any:
-    """Index i of the span with u_i <= u + slack < u_i+1, int32 (...), numpy or JAX as u is.
+    """Knot span of a parameter: i with u_i <= u + slack < u_i+1.
 
-    u: (...). slack: in units of u; a few roundings, so that k/n lands on the knot it means.
+    Args:
+        curve: its leaves numpy or JAX arrays, as u is.
+        u: (...).
+        slack: in units of u; a few roundings, so that k/n lands on the knot it means.
+
+    Returns:
+        i, int32 (...).
     """
     below = curve.knots <= u[..., None] + slack
     return (below.sum(axis=-1, dtype=np.int32) - 1).clip(degree(curve), curve.weights.shape[-1] - 1)
 
 
 def in_span(curve: Nurbs, span: Any, u: Any) -> tuple[Any, Any, Any]:
-    """C, C', C'' of the polynomial piece of one span, each (..., axes), numpy or JAX as u is.
+    """Point and derivatives of the rational piece of one span, eq (4.8) of order 2.
 
     Only the degree + 1 active points enter. At the upper end of the span: the left limit.
-    span: int32 (...), non-empty. u: (...).
+
+    Args:
+        curve: its leaves numpy or JAX arrays, as u is.
+        span: int32 (...), non-empty.
+        u: (...).
+
+    Returns:
+        C, C', C'', each (..., axes) m.
     """
     order = degree(curve)
     near = span[..., None] + np.arange(1 - order, order + 1, dtype=np.int32)
@@ -165,7 +197,7 @@ def in_span(curve: Nurbs, span: Any, u: Any) -> tuple[Any, Any, Any]:
 
 
 def _basis(knots: Any, u: Any, order: int) -> list[list[Any]]:
-    """The non-zero basis functions of degree 0 ... order (A2.2). knots: (..., 2 order)."""
+    """Non-zero basis functions of degree 0 ... order (A2.2). knots: (..., 2 order)."""
     rows = [[u * 0 + 1]]
     for q in range(1, order + 1):
         row, saved = [], u * 0

@@ -1,8 +1,8 @@
-"""A lap stored in memory: the setpoint of every tick, and the curve for the contour error.
+"""Stored tool path: the setpoint of every tick of a lap, and the curve for the contour error.
 
 The contour error is the distance to the nearest point of the continuous curve on the local branch:
-commanded arc length within a window around the commanded point. It is found by Newton along the
-smooth pieces that the window touches (see `segments`).
+commanded arc length within a window around the commanded point. Newton along the smooth pieces
+that the window touches gives it (see `segments`).
 """
 
 # pyright: reportArgumentType=false
@@ -10,7 +10,7 @@ smooth pieces that the window touches (see `segments`).
 
 import functools
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,14 +22,14 @@ from jaxstage.model.blocks import Reference
 from jaxstage.model.fields import part, pytree, replace, signal
 from jaxstage.model.signals import Nearest, Setpoint
 from jaxstage.numerics.geometry import norm, projection_step
-from jaxstage.references.arc import ArcTable, arc_at, arc_table, as_double, host_frame, spans
+from jaxstage.references.arc import ArcTable, arc_table, as_double, host_frame
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 from jaxstage.references.segments import (
-    Seats,
+    LapTable,
+    SearchWindows,
     Segments,
-    lap_seats,
-    lap_segments,
-    smooth_pieces,
+    lap_table,
+    search_windows,
 )
 from jaxstage.references.timing import LapTiming, Ticks
 
@@ -39,11 +39,11 @@ WINDOW = 0.01  # of the lap, either side
 
 @pytree
 class Path:
-    """One lap, sampled. ``length / lap_time`` is the mean feed."""
+    """One lap of a tool path, sampled. ``length / lap_time`` is the mean feed."""
 
     setpoint: Setpoint = part("commanded motion, leading axis ticks")
     segments: Segments = part("the curve")
-    seats: Seats = part("where each tick sits on it")
+    search: SearchWindows = part("where the nearest point is searched, each tick")
     lap_time: Array = signal("s", "T", "duration of a lap")
     length: Array = signal("m", "L", "length of a lap", shown="mm")
     window: Array = signal("m", "", "arc length searched either side", shown="mm")
@@ -56,44 +56,40 @@ def make_path(
 ) -> Path:
     """Sample one lap, in double precision on the host, then cast.
 
-    timing: from `uniform_parameter` or `constant_feed`. dtype: of the floats, JAX's default when
-    left out. window: share of the lap, in arc length, searched for the nearest point on either
-    side of the commanded point; in (0, 0.25], else ValueError.
+    Args:
+        curve: the tool path.
+        timing: from `uniform_parameter` or `constant_feed`.
+        dtype: of the floats; JAX's default when left out.
+        window: share of the lap, in arc length, searched for the nearest point on either side of
+            the commanded point; in (0, 0.25].
+
+    Raises:
+        ValueError: for a window out of range, or a timing that the curve does not allow.
     """
     if not 0 < window <= 0.25:
         raise ValueError(f"window must be in (0, 0.25] of a lap; got {window!r}")
     curve = as_double(curve)
     leaves, structure = jax.tree.flatten(curve)
     key = (structure, tuple((leaf.shape, leaf.tobytes()) for leaf in leaves))
-    table, segments, unrolled, rows, error, endless = _cut(key)
-    moments = _ticks(key, timing)
-    shifts = (-1, 0, 1) if is_closed(curve) and not endless else (0,)
-    seats = lap_seats(segments, unrolled, rows, moments.arc, table.arc[-1], window, shifts)
+    lap, moments, closed = _tables(key)[1], _ticks(key, timing), is_closed(curve)
     path = Path(
-        setpoint=_setpoints(curve, moments), segments=segments,
-        seats=seats, lap_time=moments.lap_time,
-        length=table.arc[-1], window=np.asarray(window * table.arc[-1]),
-        closed=np.asarray(is_closed(curve)), table_error=error,
-    )  # fmt: skip
+        setpoint=_setpoints(curve, moments),
+        segments=lap.segments,
+        search=search_windows(lap, moments.arc, window, closed),
+        lap_time=moments.lap_time,
+        length=lap.length,
+        window=np.asarray(window * lap.length),
+        closed=np.asarray(closed),
+        table_error=lap.error,
+    )
     real = jnp.zeros(()).dtype if dtype is None else np.dtype(dtype)
     return jax.tree.map(
         lambda x: jnp.asarray(x, real if np.issubdtype(x.dtype, np.floating) else x.dtype), path
     )
 
 
-class _Cut(NamedTuple):
-    """What depends on the curve alone. unrolled, rows, error: see `lap_segments`."""
-
-    table: ArcTable
-    segments: Segments
-    unrolled: np.ndarray
-    rows: np.ndarray
-    error: np.ndarray
-    endless: bool
-
-
 #: structure of a curve, and the shape and the bytes of each of its arrays
-_Key = tuple[Any, tuple[tuple[tuple[int, ...], bytes], ...]]
+_Key = tuple[jax.tree_util.PyTreeDef, tuple[tuple[tuple[int, ...], bytes], ...]]
 
 
 def _curve(key: _Key) -> Nurbs:
@@ -102,23 +98,21 @@ def _curve(key: _Key) -> Nurbs:
 
 
 @functools.lru_cache(maxsize=32)
-def _cut(key: _Key) -> _Cut:
-    """The table and the segments of a float64 curve, made once for equal curves."""
+def _tables(key: _Key) -> tuple[ArcTable, LapTable]:
+    """What depends on a float64 curve alone, made once for equal curves."""
     curve = _curve(key)
     table = arc_table(curve)
-    bounds = arc_at(curve, table, curve.knots[np.append(spans(curve), len(curve.weights))])
-    pieces, endless = smooth_pieces(curve)
-    return _Cut(table, *lap_segments(curve, table, bounds, pieces), endless)
+    return table, lap_table(curve, table)
 
 
 @functools.lru_cache(maxsize=8)
 def _ticks(key: _Key, timing: LapTiming) -> Ticks:
     """The ticks of a lap, made once for equal curves and the same timing."""
-    return timing(_curve(key), _cut(key).table)
+    return timing(_curve(key), _tables(key)[0])
 
 
 def mean_feed(path: Path) -> Array:
-    """Length over lap time in m/s: the actual feed of `constant_feed`."""
+    """Mean feed, length over lap time, () m/s: the actual feed of `constant_feed`."""
     return path.length / path.lap_time
 
 
@@ -128,63 +122,83 @@ def _setpoints(curve: Nurbs, moments: Ticks) -> Setpoint:
     position, tangent, curvature = host_frame(curve, moments.span, moments.u)
     rate = moments.rate[:, None]
     return Setpoint(
-        position=position, velocity=first * rate, tangent=tangent, curvature=curvature,
+        position=position,
+        velocity=first * rate,
         acceleration=second * rate**2 + first * moments.acceleration[:, None],
-    )  # fmt: skip
+        tangent=tangent,
+        curvature=curvature,
+    )
 
 
 def sample(path: Path, tick: Array) -> Setpoint:
-    """The setpoint of tick mod n. tick: () integer."""
-    row = tick % path.seats.corner.shape[0]
+    """Setpoint of tick mod n. tick: () integer."""
+    row = tick % path.search.corner.shape[0]
     return jax.tree.map(lambda x: _row(x, row), path.setpoint)
 
 
 def nearest(path: Path, tick: Array, position: Array) -> Nearest:
-    """The nearest point of the curve within the window around the commanded point of a tick.
+    """Nearest point of the curve within the window around the commanded point of a tick.
 
     By `STEPS` Newton steps along the smooth piece of the tick, and of each piece that begins in
-    the window. Differentiable in ``position`` (axes,) m, with gradient 0 at distance 0. Valid
-    for errors up to about half the smallest radius of curvature. tick: () integer.
+    the window. Valid for errors up to about half the smallest radius of curvature.
+
+    Args:
+        path: the stored lap.
+        tick: () integer.
+        position: of the tool, (axes,) m.
+
+    Returns:
+        The point. Differentiable in ``position``, with gradient 0 at distance 0.
     """
-    row = tick % path.seats.corner.shape[0]
-    base, start, low, high = (
-        _row(x, row) for x in (path.seats.base, path.seats.start, path.seats.low, path.seats.high)
+    row = tick % path.search.corner.shape[0]
+    stretch = _Stretch(
+        path.segments, *(_row(getattr(path.search, name), row) for name in _Stretch._fields[1:])
     )
 
     # only the choice is under the condition, and it has no derivative: JAX cannot transpose the
     # derivative of a condition that differs from run to run
-    near = partial(_near, *jax.lax.stop_gradient((path.segments, base, start, low, high, position)))
-    if base.shape[0] == 1:
+    near = partial(_near, *jax.lax.stop_gradient((stretch, position)))
+    if stretch.base.shape[0] == 1:
         piece, y = near(1)
     else:
-        everything = partial(near, base.shape[0])
-        corner = _row(path.seats.corner, row)
+        everything = partial(near, stretch.base.shape[0])
+        corner = _row(path.search.corner, row)
         piece, y = jax.lax.cond(corner, everything, partial(near, 1))
-    found = _arrive(path.segments, base[piece], low[piece], high[piece], position, y)
-    return replace(found, reach=path.window)
+    return replace(_arrive(stretch.on(piece), position, y), reach=path.window)
+
+
+class _Stretch(NamedTuple):
+    """The search window of a tick: fields of `SearchWindows`, (pieces,) each."""
+
+    segments: Segments
+    base: Array
+    start: Array
+    low: Array
+    high: Array
+
+    def on(self, piece: Array | int) -> "_Stretch":
+        """The window on one piece, () each."""
+        return _Stretch(self.segments, *(x[piece] for x in self[1:]))
 
 
 def period(path: Path) -> Array:
-    """Time between two ticks in s."""
-    return path.lap_time / path.seats.corner.shape[0]
+    """Time between two ticks, () s."""
+    return path.lap_time / path.search.corner.shape[0]
 
 
 def _row(x: Array, row: Array) -> Array:
     return jax.lax.dynamic_index_in_dim(x, row, keepdims=False, allow_negative_indices=False)
 
 
-def _near(
-    segments: Segments, base: Array, start: Array, low: Array, high: Array, position: Array,
-    count: int,
-) -> tuple[Array, Array]:  # fmt: skip
+def _near(stretch: _Stretch, position: Array, count: int) -> tuple[Array, Array]:
     """Which of the first pieces is the closest, and the coordinate on it before the last step."""
 
     def on(i: int) -> tuple[Array, Array]:
-        y = start[i]
+        own = stretch.on(i)
+        y = own.start
         for _ in range(STEPS - 1):
-            y, *_ = _step(segments, base[i], low[i], high[i], position, y)
-        distance = _arrive(segments, base[i], low[i], high[i], position, y).distance
-        return distance, y
+            y, *_ = _step(own, position, y)
+        return _arrive(own, position, y).distance, y
 
     piece = jnp.zeros((), jnp.int32)
     distance, y = on(0)
@@ -196,38 +210,35 @@ def _near(
     return piece, y
 
 
-def _step(
-    segments: Segments, base: Array, low: Array, high: Array, position: Array, y: Array
-) -> tuple[Array, Array, Array, Array]:
-    """A Newton step in the coordinate y, clamped to [low, high]; and where it began: the index of
+def _step(own: _Stretch, position: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+    """A Newton step in the coordinate y, clamped to the window; and where it began: the index of
     the segment, its coefficients and its start.
 
     Offsets are taken from the start of the segment, so single precision loses nothing.
     """
-    whole = jnp.clip(jnp.floor(y), jnp.floor(low), jnp.ceil(high) - 1)
-    index = base + whole.astype(jnp.int32)
-    c = segments.cubic.at[index].get(mode="clip")
+    whole = jnp.clip(jnp.floor(y), jnp.floor(own.low), jnp.ceil(own.high) - 1)
+    index = own.base + whole.astype(jnp.int32)
+    c = own.segments.cubic.at[index].get(mode="clip")
     f = y - whole
     offset = (position - c[0]) - f * (c[1] + f * (c[2] + f * c[3]))
     first = c[1] + f * (2 * c[2] + 3 * f * c[3])
     new = y + projection_step(offset, first, 2 * c[2] + 6 * f * c[3])
-    return jnp.clip(new, low, high), index, c, whole
+    return jnp.clip(new, own.low, own.high), index, c, whole
 
 
-def _arrive(
-    segments: Segments, base: Array, low: Array, high: Array, position: Array, y: Array
-) -> Nearest:
+def _arrive(own: _Stretch, position: Array, y: Array) -> Nearest:
     """The last step, which carries the gradient, and the point that it leads to."""
-    y, index, c, whole = _step(segments, base, low, high, position, y)
+    y, index, c, whole = _step(own, position, y)
     f = y - whole
     along = f * (c[1] + f * (c[2] + f * c[3]))
     return Nearest(
         point=c[0] + along,
         distance=norm((position - c[0]) - along),
-        arc=segments.arc.at[index].get(mode="clip")
-        + f * segments.length.at[index].get(mode="clip"),
+        arc=own.segments.arc.at[index].get(mode="clip")
+        + f * own.segments.length.at[index].get(mode="clip"),
         reach=jnp.full_like(position[0], jnp.inf),
     )
 
 
+#: follows a stored lap; parameters `Path`
 sampled = Reference(name="sampled", sample=sample, nearest=nearest, period=period)

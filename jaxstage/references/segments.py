@@ -1,20 +1,22 @@
-"""The curve of a stored lap as cubic segments, and where each tick sits on it (host only).
+"""Cubic Hermite table of a stored lap, and the search window of each tick on it (host only).
 
-Cubic Hermite segments, uniform in arc length within each knot span, so accurate that the distance
-to them is the distance to the curve. The lap is cut into smooth pieces at its corners (tangent
-jump > 1e-6 rad at a knot, closure included). Each tick knows its seat: the segment it lies in and
-the range of the window on its piece; near a corner also on the other pieces in the window.
+The segments are uniform in arc length within each knot span, and so accurate that the distance to
+them is the distance to the curve. The lap is cut into smooth pieces at its corners (tangent jump
+> 1e-6 rad at a knot, closure included). A tick searches the segments of its window on its own
+piece; near a corner also those on the other pieces in the window.
 """
 
 # pyright: reportArgumentType=false
 # (numpy leaves on the host, JAX arrays once cast)
+
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jax import Array
 
 from jaxstage.model.fields import pytree, signal
-from jaxstage.references.arc import ArcTable, host_frame, parameter_at, spans
+from jaxstage.references.arc import ArcTable, arc_at, host_frame, parameter_at, spans
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 
 CORNER = 1e-6  # rad
@@ -24,7 +26,7 @@ MOST_SEGMENTS = 2**15
 
 @pytree
 class Segments:
-    """r(f) = c0 + f (c1 + f (c2 + f c3)), 0 <= f <= 1, for each segment."""
+    """Cubic segments r(f) = c0 + f (c1 + f (c2 + f c3)), 0 <= f <= 1."""
 
     cubic: Array = signal("m", "c", "c0 (its start), c1, c2, c3", shape="(segments, 4, axes)")
     arc: Array = signal("m", "s", "arc length where it starts", shape="(segments,)")
@@ -32,8 +34,11 @@ class Segments:
 
 
 @pytree
-class Seats:
-    """Where each tick sits. Coordinates count segments from `base`; first the tick's own piece."""
+class SearchWindows:
+    """Search window of each tick on the pieces it touches, the tick's own piece first.
+
+    Coordinates count segments from `base`.
+    """
 
     base: Array = signal("1", "", "segment, int32", shape="(ticks, pieces)")
     start: Array = signal("1", "", "where the search starts", shape="(ticks, pieces)")
@@ -42,7 +47,28 @@ class Seats:
     corner: Array = signal("1", "", "true where the window holds a corner", shape="(ticks,)")
 
 
-def smooth_pieces(curve: Nurbs) -> tuple[list[np.ndarray], bool]:
+class LapTable(NamedTuple):
+    """The segments of a lap and what they mean along it.
+
+    Attributes:
+        segments: in the order of the pieces. A lap without corners stands there three times, so
+            that the search never wraps around.
+        unrolled: arc length at the start of each segment, (segments,) m, rising over the closure.
+        rows: first segment of each piece, and the end, (pieces + 1,).
+        error: largest distance from the curve, () m.
+        length: of the lap, m.
+        endless: true when the lap has no corner at all.
+    """
+
+    segments: Segments
+    unrolled: np.ndarray
+    rows: np.ndarray
+    error: np.ndarray
+    length: float
+    endless: bool
+
+
+def _smooth_pieces(curve: Nurbs) -> tuple[list[np.ndarray], bool]:
     """The smooth pieces, each a run of span numbers, and whether the lap has no corner at all.
 
     Span i + spans is span i of the next lap: the last piece may run over the closure.
@@ -64,7 +90,7 @@ def smooth_pieces(curve: Nurbs) -> tuple[list[np.ndarray], bool]:
 def _hermite(
     curve: Nurbs, table: ArcTable, i: int, bounds: np.ndarray, step: float
 ) -> tuple[Segments, float]:
-    """Equal segments of at most ``step`` m over span number i, and their largest error."""
+    """Equal segments of at most ``step`` m over span number i, and their largest error in m."""
     span, (start, end) = spans(curve)[i], bounds[i : i + 2]
     count = int(np.ceil((end - start) / step * (1 - 1e-12)))
     h = (end - start) / count
@@ -78,46 +104,54 @@ def _hermite(
     arc = start + h * np.arange(count)
     f = np.array([0.25, 0.5, 0.75])
     true = in_span(curve, *parameter_at(curve, table, (arc[:, None] + h * f).ravel()))[0]
-    made = np.einsum("fk,skd->sfd", f[:, None] ** np.arange(4), cubic)
-    error = np.linalg.norm(made.reshape(true.shape) - true, axis=-1).max()
-    made = Segments(cubic=cubic, arc=arc, length=np.full(count, h))
-    return made, float(error)
+    fitted = np.einsum("fk,skd->sfd", f[:, None] ** np.arange(4), cubic)
+    error = np.linalg.norm(fitted.reshape(true.shape) - true, axis=-1).max()
+    return Segments(cubic=cubic, arc=arc, length=np.full(count, h)), float(error)
 
 
-def lap_segments(
-    curve: Nurbs, table: ArcTable, bounds: np.ndarray, pieces: list[np.ndarray]
-) -> tuple[Segments, np.ndarray, np.ndarray, np.ndarray]:
-    """The table, its arc lengths unrolled, the first row of each piece (and the end), the error.
+def lap_table(curve: Nurbs, table: ArcTable) -> LapTable:
+    """Hermite table of a float64 curve; the segments are halved until it is within 1e-11 m.
 
-    A lap without corners stands there three times, so that the search never wraps around.
+    Args:
+        curve: in float64.
+        table: its `arc_table`.
     """
-    spans_, length = len(bounds) - 1, bounds[-1]
+    bounds = arc_at(curve, table, curve.knots[np.append(spans(curve), len(curve.weights))])
+    pieces, endless = _smooth_pieces(curve)
+    count, length = len(bounds) - 1, bounds[-1]
     least = 4 * length / MOST_SEGMENTS
     step = max(min(length / 64, np.diff(bounds).min()), least)
     while True:
-        made = [_hermite(curve, table, i, bounds, step) for i in range(spans_)]
-        error = max(e for _, e in made)
+        fits = [_hermite(curve, table, i, bounds, step) for i in range(count)]
+        error = max(e for _, e in fits)
         if error <= TABLE_ERROR or step <= least:
             break
         shrink = 0.9 * (TABLE_ERROR / error) ** 0.25  # the error goes with step^4
         step = max(step * min(max(shrink, 0.1), 0.7), least)
     order = np.concatenate(pieces)
-    parts = [made[i % spans_][0] for i in order]
-    unrolled = [s.arc + length * (i // spans_) for i, s in zip(order, parts, strict=True)]
-    rows = np.cumsum([0, *(sum(len(made[i % spans_][0].arc) for i in p) for p in pieces)])
-    table_of = jax.tree.map(lambda *x: np.concatenate(x), *parts)
-    return table_of, np.concatenate(unrolled), rows, np.asarray(error)
+    parts = [fits[i % count][0] for i in order]
+    unrolled = [s.arc + length * (i // count) for i, s in zip(order, parts, strict=True)]
+    rows = np.cumsum([0, *(sum(len(fits[i % count][0].arc) for i in p) for p in pieces)])
+    segments = jax.tree.map(lambda *x: np.concatenate(x), *parts)
+    whole = table.arc[-1]
+    return LapTable(segments, np.concatenate(unrolled), rows, np.asarray(error), whole, endless)
 
 
-def lap_seats(
-    segments: Segments, unrolled: np.ndarray, rows: np.ndarray, arc: np.ndarray, length: float,
-    window: float, shifts: tuple[int, ...],
-) -> Seats:  # fmt: skip
-    """The seats of ticks at arc length ``arc`` (ticks,); ``shifts``: the laps looked at."""
+def search_windows(lap: LapTable, arc: np.ndarray, window: float, closed: bool) -> SearchWindows:
+    """Search windows of the ticks of a lap.
+
+    Args:
+        lap: its table.
+        arc: arc length of each tick, (ticks,) m.
+        window: arc length on either side, share of the lap.
+        closed: true when the lap ends where it starts.
+    """
+    unrolled, rows, length = lap.unrolled, lap.rows, lap.length
     reach, snap = window * length, 1e-12 * length
+    shifts = (-1, 0, 1) if closed and not lap.endless else (0,)
     piece = np.tile(np.arange(len(rows) - 1), len(shifts))
-    lap = np.repeat(shifts, len(rows) - 1) * length
-    begin = unrolled[rows[piece]] + lap
+    shift = np.repeat(shifts, len(rows) - 1) * length
+    begin = unrolled[rows[piece]] + shift
     own, first, last = (
         np.maximum(np.searchsorted(begin, x, side="right") - 1, 0)
         for x in (arc + snap, arc - reach + snap, arc + reach - snap)
@@ -128,14 +162,17 @@ def lap_seats(
     seat = np.concatenate([own[:, None], others], axis=1)
 
     def coordinate(x: np.ndarray) -> np.ndarray:
-        x = x[:, None] - lap[seat]
+        x = x[:, None] - shift[seat]
         row = np.searchsorted(unrolled, x + snap, side="right") - 1
         row = np.clip(row, rows[piece[seat]], rows[piece[seat] + 1] - 1)
-        return row + np.clip((x - unrolled[row]) / segments.length[row], 0, 1)
+        return row + np.clip((x - unrolled[row]) / lap.segments.length[row], 0, 1)
 
     start = coordinate(arc)
     base = np.minimum(np.floor(start), rows[piece[seat] + 1] - 1)
-    return Seats(
-        base=base.astype(np.int32), start=start - base, low=coordinate(arc - reach) - base,
-        high=coordinate(arc + reach) - base, corner=last > first,
-    )  # fmt: skip
+    return SearchWindows(
+        base=base.astype(np.int32),
+        start=start - base,
+        low=coordinate(arc - reach) - base,
+        high=coordinate(arc + reach) - base,
+        corner=last > first,
+    )

@@ -1,23 +1,23 @@
-"""How a curve is run through in time: u(t), u'(t), u''(t) on integer ticks (host only).
+"""Feed-rate timing of a lap: u(t), u'(t), u''(t) on integer ticks (host only).
 
 The phase k/n is computed in double from integers, before any cast; a tick within a few roundings
 of a knot is put on it, and takes the right limit there.
 """
 
 import functools
-import math
 from collections.abc import Callable
 
 import numpy as np
 
 from jaxstage.model.fields import pytree, signal
 from jaxstage.references.arc import ArcTable, arc_at, arc_table, as_double, parameter_at
+from jaxstage.references.checked import positive
 from jaxstage.references.nurbs import Nurbs, in_span, span_of
 
 
 @pytree
 class Ticks:
-    """One lap on integer ticks, float64 numpy."""
+    """Interpolated lap on integer ticks, float64 numpy."""
 
     span: np.ndarray = signal("1", "i", "knot span", shape="(ticks,)")
     u: np.ndarray = signal("1", "u", "curve parameter", shape="(ticks,)")
@@ -31,24 +31,26 @@ class Ticks:
 LapTiming = Callable[[Nurbs, ArcTable], Ticks]
 
 
-def _positive(name: str, value: float, unit: str) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"{name} must be finite and > 0 {unit}; got {value!r}")
-
-
 def uniform_parameter(lap_time: float, dt: float) -> LapTiming:
-    """u_k = u_0 + (u_end - u_0) (k mod n)/n, u' = (u_end - u_0)/(n dt), n = round(T/dt).
+    """Uniform-parameter timing.
 
-    lap_time: s, T. dt: s. Both finite and > 0, T >= dt, else ValueError.
+    u_k = u_0 + (u_end - u_0) (k mod n)/n, u' = (u_end - u_0)/(n dt), n = round(T/dt).
     Source: Mao et al., Energies 2021, 14, 7802, eqs (32)-(34).
+
+    Args:
+        lap_time: T, s, >= dt.
+        dt: control period in s.
+
+    Raises:
+        ValueError: unless both are finite and > 0 and T >= dt.
     """
     return _uniform_parameter(float(lap_time), float(dt))
 
 
 @functools.cache
 def _uniform_parameter(lap_time: float, dt: float) -> LapTiming:
-    _positive("lap_time", lap_time, "s")
-    _positive("dt", dt, "s")
+    positive("lap_time", lap_time, "s")
+    positive("dt", dt, "s")
     if lap_time < dt:
         raise ValueError(f"lap_time must be >= dt = {dt:g} s; got {lap_time:g} s")
     count = round(lap_time / dt)
@@ -60,27 +62,39 @@ def _uniform_parameter(lap_time: float, dt: float) -> LapTiming:
         u = np.maximum(u, curve.knots[span])
         rate = np.full(count, whole / (count * dt))
         return Ticks(
-            span=span, u=u, rate=rate, acceleration=np.zeros(count),
-            arc=arc_at(curve, table, u), lap_time=np.asarray(count * dt),
-        )  # fmt: skip
+            span=span,
+            u=u,
+            rate=rate,
+            acceleration=np.zeros(count),
+            arc=arc_at(curve, table, u),
+            lap_time=np.asarray(count * dt),
+        )
 
     return timing
 
 
 def constant_feed(feed: float, dt: float) -> LapTiming:
-    """s_k = L (k mod n)/n, u' = v/|C'|, u'' = -v^2 (C' . C'')/|C'|^4, n = round(L/(feed dt)).
+    """Constant-feed timing.
 
-    feed: mm/min, adjusted to v = L/(n dt) so that the lap is a whole number of ticks (see
-    `path.mean_feed`). dt: s. Both finite and > 0, else ValueError; so is a lap of under 2 ticks.
+    s_k = L (k mod n)/n, u' = v/|C'|, u'' = -v^2 (C' . C'')/|C'|^4, n = round(L/(feed dt)).
     Where C' = 0, u' is that of a place just inside the span.
+
+    Args:
+        feed: mm/min, adjusted to v = L/(n dt) so that the lap is a whole number of ticks (see
+            `path.mean_feed`).
+        dt: control period in s.
+
+    Raises:
+        ValueError: unless both are finite and > 0; when the timing is applied, for a lap of under 2
+            ticks.
     """
     return _constant_feed(float(feed), float(dt))
 
 
 @functools.cache
 def _constant_feed(feed: float, dt: float) -> LapTiming:
-    _positive("feed", feed, "mm/min")
-    _positive("dt", dt, "s")
+    positive("feed", feed, "mm/min")
+    positive("dt", dt, "s")
 
     def timing(curve: Nurbs, table: ArcTable) -> Ticks:
         length = table.arc[-1]
@@ -95,10 +109,13 @@ def _constant_feed(feed: float, dt: float) -> LapTiming:
         _, first, second = in_span(curve, span, inside)
         square, speed = (first * first).sum(axis=-1), length / (count * dt)
         return Ticks(
-            span=span, u=u, rate=speed / np.sqrt(square), arc=arc,
+            span=span,
+            u=u,
+            rate=speed / np.sqrt(square),
             acceleration=-(speed**2) * (first * second).sum(axis=-1) / square**2,
+            arc=arc,
             lap_time=np.asarray(count * dt),
-        )  # fmt: skip
+        )
 
     return timing
 

@@ -1,4 +1,4 @@
-"""The trifolium, a closed curve of three leaves, in closed form.
+"""Trifolium, a closed curve of three leaves, in closed form.
 
     x_1 = -(r/2) (cos 2 th + cos 4 th),   x_2 = (r/2) (sin 2 th - sin 4 th)         (22)
     |dx/dth| = r sqrt(5 - 4 cos 6 th),    length for th = 0 .. 2 pi: L = 13.364893 r
@@ -14,9 +14,7 @@ Source: Msukwa and Uchiyama, IEEE Access 7 (2019), equation (22). r and T are no
 """
 
 import functools
-import math
 from collections.abc import Callable
-from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +25,7 @@ from jaxstage.model.blocks import Reference
 from jaxstage.model.fields import known, pytree
 from jaxstage.model.signals import Nearest, Setpoint
 from jaxstage.numerics.geometry import bend, norm, projection_step
+from jaxstage.references.checked import positive
 
 STEPS = 6  # Newton, exact to rounding
 TERMS = 48  # of the arc length; they fall as 2^-n
@@ -34,20 +33,24 @@ TERMS = 48  # of the arc length; they fall as 2^-n
 
 @pytree
 class Trifolium:
-    """Parameters of the motion."""
+    """Parameters of a motion along a trifolium."""
 
     radius: Array = known("m", "r", "half the radius of a leaf", above=0.0, shown="mm")
     lap_time: Array = known("s", "T", "time for tracing the curve twice", above=0.0)
 
 
 def make_trifolium(radius: float, lap_time: float) -> Trifolium:
-    """The parameters. radius: m, lap_time: s; both finite and > 0, else ValueError."""
-    for name, value, unit in (("radius", radius, "m"), ("lap_time", lap_time, "s")):
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be finite and > 0 {unit}; got {value!r}")
+    """Checked parameters of a trifolium.
+
+    Args:
+        radius: r, half the radius of a leaf, m.
+        lap_time: T, time for tracing the curve twice, s.
+
+    Raises:
+        ValueError: unless both are finite and > 0.
+    """
     return Trifolium(
-        radius=cast(Array, np.asarray(radius, float)),
-        lap_time=cast(Array, np.asarray(lap_time, float)),
+        radius=positive("radius", radius, "m"), lap_time=positive("lap_time", lap_time, "s")
     )
 
 
@@ -62,7 +65,7 @@ def _series() -> tuple[float, np.ndarray]:
 
 
 def length(params: Trifolium) -> Array:
-    """L in m, the way made in the time T."""
+    """Length L of two traces, the way in the time T, () m."""
     return 2 * jnp.pi * _series()[0] * params.radius
 
 
@@ -83,18 +86,36 @@ Phase = Callable[[Trifolium, Array], tuple[Array, Array, Array]]
 
 
 def uniform_phase(params: Trifolium, time: Array) -> tuple[Array, Array, Array]:
-    """th = 2 pi t / T."""
+    """Uniform phase th = 2 pi t / T.
+
+    Args:
+        params: of the trifolium.
+        time: t, () s.
+
+    Returns:
+        th in rad, th' in rad/s, th'' in rad/s2.
+    """
     rate = 2 * jnp.pi / params.lap_time
     return rate * time, rate, jnp.zeros_like(rate)
 
 
 def constant_feed_phase(params: Trifolium, time: Array) -> tuple[Array, Array, Array]:
-    """th from the arc length L t / T by Newton; the last step carries the gradient."""
+    """Phase of constant feed: th from the arc length L t / T by Newton.
+
+    The last step carries the gradient.
+
+    Args:
+        params: of the trifolium.
+        time: t, () s.
+
+    Returns:
+        th in rad, th' in rad/s, th'' in rad/s2.
+    """
     mean = _series()[0]
-    wanted = 12 * jnp.pi * time / params.lap_time
-    angle = wanted
+    way = 12 * jnp.pi * time / params.lap_time
+    angle = way
     for last in [False] * (STEPS - 1) + [True]:
-        angle = angle - (_stretched(angle) - wanted) * mean / _speed(angle / 6)
+        angle = angle - (_stretched(angle) - way) * mean / _speed(angle / 6)
         angle = angle if last else jax.lax.stop_gradient(angle)
     phase = angle / 6
     speed = _speed(phase)
@@ -116,12 +137,16 @@ def _curve(radius: Array, phase: Array) -> tuple[Array, Array, Array]:
 
 
 @functools.cache
-def trifolium(dt: float, phase: Phase = uniform_phase) -> Reference:
-    """The motion at t = k dt, with the chosen timing; parameters from `make_trifolium`.
+def trifolium(dt: float, phase: Phase = uniform_phase) -> Reference[Trifolium]:
+    """Motion along a trifolium, computed in the tick; parameters from `make_trifolium`.
 
-    dt: s. ``nearest`` is Newton on the phase from the commanded one, 6 steps, so it stays on the
-    leaf being traced: near the origin another one may be closer. Its `arc` is the arc length from
+    ``nearest`` is Newton on the phase from the commanded one, 6 steps, so it stays on the leaf
+    being traced: near the origin another one may be closer. Its `arc` is the arc length from
     th = 0, twice round.
+
+    Args:
+        dt: control period in s; t = k dt.
+        phase: `uniform_phase` or `constant_feed_phase`.
     """
 
     def at(params: Trifolium, tick: Array) -> tuple[Array, Array, Array]:

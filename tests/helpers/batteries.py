@@ -1,4 +1,4 @@
-"""What several test files share: the laws under test and a bench for one control period."""
+"""Batteries: the laws under test, and a bench for one control period."""
 
 import functools
 from collections.abc import Callable
@@ -106,18 +106,18 @@ SWITCHES = {
 
 def _switched() -> list[Entry]:
     """The switches that the study does not use: the exact one is in its laws."""
-    made = []
+    entries = []
     for name in ("smooth", "implicit"):
         switch, params = SWITCHES[name]
         gains = replace(sliding_gains(), switch=params, switching_gain=_pair(2.0, 3.0))
         make = functools.partial(_per_axis, sliding, switch)
-        made.append(Entry(f"sliding-{name}", make, gains, name == "smooth"))
+        entries.append(Entry(f"sliding-{name}", make, gains, name == "smooth"))
         for receptive, values in ((crisp, cmac_gains()), (gaussian, dfcmac_gains())):
             make = functools.partial(_per_axis, cmac_sliding, receptive, switch)
-            made.append(
+            entries.append(
                 Entry(f"cmac-{receptive.name}-{name}", make, replace(values, switch=params))
             )
-    return made
+    return entries
 
 
 def _per_axis(maker: Callable[..., Controller], *arguments: Any) -> Controller:
@@ -136,9 +136,10 @@ def _composed() -> list[Entry]:
     )
     slid = replace(sliding_gains(), switch=SWITCHES["smooth"][1])
     stiff = Pd(
-        proportional_gain=_pair(1e3, 1.2e3), derivative_gain=_pair(110.0, 112.0),
+        proportional_gain=_pair(1e3, 1.2e3),
+        derivative_gain=_pair(110.0, 112.0),
         nominal=steady.nominal,
-    )  # fmt: skip
+    )
     per_acceleration = 1 / _pair(320.0, 342.0)
     return [
         Entry(
@@ -173,18 +174,16 @@ def _surfaces() -> list[Entry]:
     width = SmoothWidth(width=_pair(2e-2, 3e-2))
     steady = screw.gains(screw.adaptive_gain(), q=0.5, switch=width)
     rising = screw.gains(screw.integral_gain(rate=20.0), q=0.5, switch=width)
-    forms = {
-        "surface-adaptive": (
-            steady, (damping.bounded, reaching.adaptive, smooth, damping.differenced(),
-                     error_rate.differenced),
-        ),
-        "surface-modelled": (
-            rising, (damping.bounded, reaching.integral, sat, damping.modelled(-1)),
-        ),
-    }  # fmt: skip
+    differenced = (reaching.adaptive, smooth, damping.differenced(), error_rate.differenced)
+    modelled = (reaching.integral, sat, damping.modelled(-1))
+    forms = (("adaptive", steady, differenced), ("modelled", rising, modelled))
     return [
-        Entry(name, functools.partial(_per_axis, nonlinear_surface, *parts), gains)
-        for name, (gains, parts) in forms.items()
+        Entry(
+            f"surface-{name}",
+            functools.partial(_per_axis, nonlinear_surface, damping.bounded, *parts),
+            gains,
+        )
+        for name, gains, parts in forms
     ]
 
 
