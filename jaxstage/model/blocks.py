@@ -187,17 +187,20 @@ class Engine:
         shortest: runs of at least so many ticks are compiled for this processor, where there is a
             C++ compiler and the loop can be written so (`explain` says); shorter ones are a
             ``lax.scan``.
+        strict: a run that cannot be compiled is refused; else it is a scan, and a warning says so
+            once.
     """
 
     name: str
     shortest: float
+    strict: bool = False
 
 
 #: compiles runs that are long enough to be worth it
 auto = Engine(name="auto", shortest=4000)
 
-#: compiles every run
-compiled = Engine(name="compiled", shortest=1)
+#: compiles every run, and refuses what it cannot compile
+compiled = Engine(name="compiled", shortest=1, strict=True)
 
 #: ``lax.scan``, which defines what the others compute
 scan = Engine(name="scan", shortest=math.inf)

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from jaxstage.compiler.runtime.api import Report, describe
+from jaxstage.compiler.runtime.api import KernelReport, describe
 from jaxstage.compiler.runtime.toolchain import compiler
 from jaxstage.model.blocks import Loop
 from jaxstage.model.signals import Scenario
@@ -13,13 +13,19 @@ KERNELS = ("forward", "tangent", "pullback")
 
 
 class Explanation(NamedTuple):
-    """What the engine makes of a loop. shortest: ticks from which a run is compiled (inf: never);
-    compiler: its path, or None; kernels: of the run and of its derivatives."""
+    """What the engine makes of a loop.
+
+    Attributes:
+        engine: Its name.
+        shortest: Ticks from which a run is compiled, inf for never.
+        compiler: The command of the C++ compiler, or None.
+        kernels: Of the run and of its derivatives.
+    """
 
     engine: str
     shortest: float
     compiler: str | None
-    kernels: tuple[Report, ...]
+    kernels: tuple[KernelReport, ...]
 
     @property
     def compiled(self) -> bool:
@@ -35,7 +41,7 @@ class Explanation(NamedTuple):
         return "\n".join([f"{head}; compiler {self.compiler or 'none'}", *map(_line, self.kernels)])
 
 
-def _line(report: Report) -> str:
+def _line(report: KernelReport) -> str:
     if report.reason is not None:
         return f"{report.what:9} lax.scan, because of: {report.reason}"
     how = "from the cache" if report.cached else f"compiled in {report.seconds:.1f} s"
@@ -48,8 +54,19 @@ def _line(report: Report) -> str:
 def explain(
     loop: Loop, gains: Any, scenario: Scenario, path: Any, kernels: tuple[str, ...] = KERNELS
 ) -> Explanation:
-    """Build the kernels of a loop (forward; tangent and pullback with respect to all gains and all
-    of the scenario) and say what came of it. Raises ValueError for bad input."""
+    """Build the kernels of a loop and say what came of it.
+
+    Args:
+        loop: What is fixed.
+        gains: What is tuned.
+        scenario: What is uncertain.
+        path: Parameters of the reference.
+        kernels: Of ``forward`` (a run), ``tangent`` and ``pullback`` (derivatives with respect to
+            all gains and all of the scenario).
+
+    Raises:
+        ValueError: For bad input, naming the value and its allowed range.
+    """
     gains, scenario, path = check(loop, gains, scenario, path)
     carry = start(loop, gains, scenario, path)
     program, _ = compiled_form(loop, gains, scenario, path, carry)

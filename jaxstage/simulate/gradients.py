@@ -5,6 +5,10 @@ forward mode and central differences side by side for each parameter, and names 
 loop holds.
 """
 
+# what JAX gives is partly untyped
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownLambdaType=false
+
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -29,7 +33,10 @@ FORWARD_LIMIT = 6
 class Selection(NamedTuple):
     """Some settings of a loop as one vector.
 
-    names: one label an element. vector: their values. rebuild: from a vector to (gains, scenario).
+    Attributes:
+        names: One label an element, (n,).
+        vector: Their values, (n,), each in its SI unit.
+        rebuild: From such a vector to (gains, scenario).
     """
 
     names: tuple[str, ...]
@@ -38,9 +45,18 @@ class Selection(NamedTuple):
 
 
 def select(gains: Any, scenario: Scenario, names: tuple[str, ...]) -> Selection:
-    """The named settings (path, symbol or unique suffix) as one vector.
+    """Named settings as one vector.
 
-    Raises ValueError for an unknown or ambiguous name.
+    Args:
+        gains: What is tuned.
+        scenario: What is uncertain.
+        names: Settings by name, symbol or unique suffix.
+
+    Returns:
+        The vector, with a label for each element.
+
+    Raises:
+        ValueError: For an unknown or ambiguous name.
     """
     known = known_leaves(gains, scenario)
     paths = tuple(resolve(name, known) for name in names)
@@ -66,11 +82,18 @@ def select(gains: Any, scenario: Scenario, names: tuple[str, ...]) -> Selection:
 def value_and_gradient(
     function: Callable[[Array], Array], forward: bool | None = None
 ) -> Callable[[Array], tuple[Array, Array]]:
-    """(f, df/dx) of a scalar function of a vector, by the cheaper mode.
+    """Value and gradient of a scalar function of a vector, by the cheaper mode.
 
-    forward: True or False to choose; None takes forward mode up to `FORWARD_LIMIT` parameters,
-    else reverse. For long runs in reverse mode give the loop a ``segment`` of about the square
-    root of the ticks: memory then grows like that root.
+    For long runs in reverse mode give the loop a ``segment`` of about the square root of the
+    ticks: memory then grows like that root.
+
+    Args:
+        function: From (n,) to ().
+        forward: True or False to choose the mode; None takes forward mode up to `FORWARD_LIMIT`
+            parameters, else reverse.
+
+    Returns:
+        A function from (n,) to f, () and df/dx, (n,).
     """
 
     def both(x: Array) -> tuple[Array, Array]:
@@ -88,8 +111,16 @@ def value_and_gradient(
     return both
 
 
-class Checked(NamedTuple):
-    """One parameter of a `grad_check`. difference: central, with a step of ``step`` times scale."""
+class DerivativeRow(NamedTuple):
+    """The derivatives by one parameter.
+
+    Attributes:
+        name: Of the parameter.
+        value: Of the parameter, in its SI unit.
+        reverse: By reverse mode.
+        forward: By forward mode.
+        difference: Central, over ``step`` times the scale of the parameter to either side.
+    """
 
     name: str
     value: float
@@ -99,11 +130,18 @@ class Checked(NamedTuple):
 
 
 class GradCheck(NamedTuple):
-    """The three derivatives of each parameter, and the kinks of the loop."""
+    """The three derivatives of each parameter, and the kinks of the loop.
+
+    Attributes:
+        objective: Its value.
+        step: Relative step of the central differences.
+        rows: One a parameter.
+        kinks: See `kinks`.
+    """
 
     objective: float
     step: float
-    rows: tuple[Checked, ...]
+    rows: tuple[DerivativeRow, ...]
     kinks: tuple[str, ...]
 
     def mode_error(self) -> float:
@@ -132,7 +170,7 @@ class GradCheck(NamedTuple):
         share = f"signs that agree with a step of {self.step:g}: {self.sign_share():.0%}"
         return "\n".join([head, *lines, share, "kinks:", *(f"  {k}" for k in self.kinks)])
 
-    def _largest(self, gap: Callable[[Checked], float]) -> float:
+    def _largest(self, gap: Callable[[DerivativeRow], float]) -> float:
         scale = max(abs(row.forward) for row in self.rows) or 1.0
         return max(abs(gap(row)) for row in self.rows) / scale
 
@@ -149,10 +187,22 @@ def grad_check(
 ) -> GradCheck:
     """Reverse mode against forward mode against central differences, per parameter.
 
-    objective(gains, scenario) -> (): usually a figure of ``simulate(loop, ...)``. names: settings
-    by path, symbol or suffix; every element of them is a parameter. step: relative step of the
-    central difference; a parameter that is 0 steps by ``scales[path]`` (default 1) times it.
-    Raises ValueError for unknown names, and for an objective that is not finite.
+    Args:
+        loop: Whose kinks are named.
+        gains: What is tuned.
+        scenario: What is uncertain.
+        path: Parameters of the reference.
+        objective: From (gains, scenario) to (), usually a metric of ``simulate(loop, ...)``.
+        names: Settings by name, symbol or suffix; every element of them is a parameter.
+        step: Relative step of the central difference.
+        scales: By name of a setting: what a parameter that is 0 steps by, times ``step``; 1 if left
+            out.
+
+    Returns:
+        The derivatives side by side, and the kinks of the loop.
+
+    Raises:
+        ValueError: For unknown names, and for an objective that is not finite.
     """
     chosen = select(gains, scenario, names)
 
@@ -170,7 +220,7 @@ def grad_check(
     difference = (ends(x[None] + moves) - ends(x[None] - moves)) / (2 * step * scale)
     columns = (np.asarray(c, float) for c in (x, reverse, forward, difference))
     rows = (
-        Checked(name, *map(float, numbers))
+        DerivativeRow(name, *map(float, numbers))
         for name, *numbers in zip(chosen.names, *columns, strict=True)
     )
     return GradCheck(float(value), step, tuple(rows), kinks(loop, gains, scenario, path))
@@ -187,9 +237,17 @@ _STAGES = ("sense", "control", "drive", "settle", "plant")
 
 
 def kinks(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> tuple[str, ...]:
-    """The kinks of one tick by stage, e.g. ``control: cell, sign, within``.
+    """The kinks of one tick: where its derivative jumps or vanishes.
 
-    Those of `numerics.smooth` by their names; others by that of the operation.
+    Args:
+        loop: What is fixed.
+        gains: What is tuned.
+        scenario: What is uncertain.
+        path: Parameters of the reference.
+
+    Returns:
+        One line a stage, e.g. ``control: cell, sign, within``. Those of `numerics.smooth` by their
+        names; others by that of the operation.
     """
     carry = jax.eval_shape(lambda g, s, p: start(loop, g, s, p), gains, scenario, path)
 
@@ -197,13 +255,14 @@ def kinks(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> tuple[str, .
         after, _ = tick(loop, gains, scenario, path, carry)
         return after.state, after.memory
 
-    found: dict[str, set[str]] = {}
+    stages: dict[str, set[str]] = {}
     whole = jax.make_jaxpr(move)(gains, scenario, path, carry)
-    _collect(whole.jaxpr, "", found)
-    return tuple(f"{s}: {', '.join(sorted(found[s]))}" for s in _STAGES if s in found)
+    _collect(whole.jaxpr, "", stages)
+    return tuple(f"{s}: {', '.join(sorted(stages[s]))}" for s in _STAGES if s in stages)
 
 
-def _collect(jaxpr: Any, outer: str, found: dict[str, set[str]]) -> None:
+def _collect(jaxpr: Any, outer: str, stages: dict[str, set[str]]) -> None:
+    """Add the kinks of a jaxpr, and of those inside it, to the set of their stage."""
     for equation in jaxpr.eqns:
         scope = f"{outer}/{equation.source_info.name_stack}"
         parts = re.findall(r"\w+", scope)  # scopes under vmap read vmap(name)
@@ -217,9 +276,9 @@ def _collect(jaxpr: Any, outer: str, found: dict[str, set[str]]) -> None:
             and floating
             and (named or equation.primitive.name in _KINKED)
         ):
-            found.setdefault(stage, set()).add(named[0] if named else equation.primitive.name)
+            stages.setdefault(stage, set()).add(named[0] if named else equation.primitive.name)
         for inner in jax.tree.leaves(
             list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")
         ):
             if hasattr(inner, "eqns"):
-                _collect(getattr(inner, "jaxpr", inner), scope, found)
+                _collect(getattr(inner, "jaxpr", inner), scope, stages)

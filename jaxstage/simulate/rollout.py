@@ -1,6 +1,10 @@
 """A run from start to report: scan over ticks, flags for lost runs, resume, replay."""
 
-from collections.abc import Callable, Iterator
+# what JAX gives is partly untyped
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownLambdaType=false
+
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -10,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.custom_derivatives import SymbolicZero
 
-from jaxstage.compiler.frontend.step_program import Program
+from jaxstage.compiler.frontend.step_program import Program, StepSpec
 from jaxstage.compiler.runtime.api import program_of, rollout
 from jaxstage.model.blocks import Loop, Metric, scan
 from jaxstage.model.fields import is_pytree_data, replace
@@ -28,16 +32,29 @@ def simulate(
     ticks: int,
     carry: Carry | None = None,
 ) -> Run:
-    """Simulate one run of ``ticks`` control periods.
+    """Simulate one run (a rollout of the closed loop).
 
-    loop: what is fixed. gains: what is tuned. scenario: what is uncertain. path: what is asked
-    (parameters of ``loop.reference``). carry: where an earlier run stopped; the two together
-    equal one long run. Pure: ``vmap`` over gains is a population, over scenario a Monte-Carlo
-    sweep, ``grad`` or ``jacfwd`` over gains is tuning.
+    Pure: ``vmap`` over gains is a population, over scenario a Monte-Carlo sweep, ``grad`` or
+    ``jacfwd`` over gains is tuning.
 
     A run whose following error exceeds ``loop.path_limit``, or that is no longer finite, is
     frozen there and flagged in ``final.left_path_at`` or ``final.non_finite_at``; its report is
-    NaN. Raises ValueError for bad input, naming the value and its allowed range.
+    NaN.
+
+    Args:
+        loop: What is fixed.
+        gains: What is tuned, data of ``loop.controller``.
+        scenario: What is uncertain.
+        path: What is asked, the parameters of ``loop.reference``.
+        ticks: Control periods of ``loop.dt`` s.
+        carry: Where an earlier run stopped; the two together equal one long run.
+
+    Returns:
+        Report of the metric, its rows with a leading axis of ``ticks``, and the last carry.
+
+    Raises:
+        ValueError: For bad input, naming the value and its allowed range.
+        RuntimeError: Where ``loop.engine`` is `compiled` and the loop cannot be, with the reason.
     """
     if ticks < 1:
         raise ValueError(f"ticks must be >= 1, got {ticks}")
@@ -47,7 +64,7 @@ def simulate(
 
 
 @contextmanager
-def fields_named(loop: Loop) -> Iterator[None]:
+def fields_named(loop: Loop) -> Generator[None]:
     """Say of which data a law or a machine misses a field: usually those of another one."""
     try:
         yield
@@ -70,7 +87,7 @@ def _simulate(
 def whole_run(
     loop: Loop, ticks: int, gains: Any, scenario: Scenario, path: Any, carry: Carry | None = None
 ) -> Run:
-    """`simulate` without its checks."""
+    """`simulate` without its checks, inside a trace."""
     begin = _sound(start(loop, gains, scenario, path) if carry is None else carry)
     if ticks < loop.engine.shortest:
         final, rows = scan_ticks(
@@ -84,11 +101,21 @@ def whole_run(
 def compiled_form(
     loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry
 ) -> tuple[Program, list[Array]]:
-    """The loop as the engine takes it: a program, and its numbers."""
+    """The loop as the compiler takes it.
+
+    Args:
+        loop: What is fixed.
+        gains: What is tuned.
+        scenario: What is uncertain.
+        path: Parameters of the reference.
+        carry: Before the first tick.
+
+    Returns:
+        The program, which holds shapes alone, and its numbers.
+    """
     same = replace(loop, engine=scan, segment=0)
-    return program_of(
-        _advance, same, (gains, scenario), path, carry, segment=loop.segment, finite=True
-    )
+    step = StepSpec(_advance, same, loop.segment, finite=True, strict=loop.engine.strict)
+    return program_of(step, (gains, scenario), path, carry)
 
 
 def _advance(loop: Loop, inputs: Any, path: Any, carry: Carry) -> tuple[Carry, Any]:
@@ -103,7 +130,20 @@ def _sound(carry: Carry) -> Carry:
 
 
 def start(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> Carry:
-    """The carry before the first tick."""
+    """The carry before the first tick.
+
+    The machine stands ``scenario.start.offset`` m beside the path and moves with the fraction
+    ``scenario.start.velocity`` of the commanded velocity.
+
+    Args:
+        loop: What is fixed.
+        gains: What is tuned.
+        scenario: What is uncertain.
+        path: Parameters of the reference.
+
+    Returns:
+        States and memories after their ``init``, tick 0, no flags.
+    """
     setpoint = loop.reference.sample(path, jnp.zeros((), jnp.int32))
     position = setpoint.position + scenario.start.offset
     velocity = setpoint.velocity * scenario.start.velocity
@@ -130,8 +170,17 @@ def start(loop: Loop, gains: Any, scenario: Scenario, path: Any) -> Carry:
 def scan_ticks(
     loop: Loop, ticks: int, step: Callable[[Carry], tuple[Carry, Any]], carry: Carry
 ) -> tuple[Carry, Any]:
-    """Scan ``step`` over the ticks, in checkpointed segments if the loop asks for them."""
+    """Scan over the ticks, in checkpointed segments if the loop asks for them.
 
+    Args:
+        loop: Whose ``segment`` is taken.
+        ticks: Control periods.
+        step: From a carry to the next and a row.
+        carry: Before the first tick.
+
+    Returns:
+        The last carry, and the rows with a leading axis of ``ticks``.
+    """
     return segmented(lambda c, _: step(c), carry, ticks, loop.segment)
 
 
@@ -145,21 +194,31 @@ def _finite(tree: Any) -> Array:
 
     In one flat array: a check a leaf costs the compiled loop a kernel a leaf, four times as much.
     """
-    kinds: dict[Any, list[Array]] = {}
+    by_type: dict[Any, list[Array]] = {}
     for leaf in jax.tree.leaves(tree):
         if jnp.issubdtype(leaf.dtype, jnp.inexact):
-            kinds.setdefault(leaf.dtype, []).append(leaf.reshape(-1))
-    checks = [jnp.all(jnp.isfinite(jnp.concatenate(flat))) for flat in kinds.values()]
+            by_type.setdefault(leaf.dtype, []).append(leaf.reshape(-1))
+    checks = [jnp.all(jnp.isfinite(jnp.concatenate(flat))) for flat in by_type.values()]
     return jnp.all(jnp.stack(checks)) if checks else jnp.ones((), bool)
 
 
 def advance(
     loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry
 ) -> tuple[Carry, Any]:
-    """One tick that a lost run passes unchanged.
+    """One guarded tick, which a lost run passes unchanged.
 
     Only finite values are ever accepted into the carry, so a lost run goes on computing from
     finite values and changes nothing in the runs beside it.
+
+    Args:
+        loop: What is fixed.
+        gains: What is tuned.
+        scenario: What is uncertain.
+        path: Parameters of the reference.
+        carry: Before the tick.
+
+    Returns:
+        The carry after it, flags set, and the row of the metric, NaN where the run is lost.
     """
     frozen = lost(carry)
     setpoint = loop.reference.sample(path, carry.step)
@@ -185,7 +244,7 @@ def _tick_and_check(loop: Loop, structure: Any, *leaves: Any) -> tuple[Any, Arra
 
 
 def _checked_tick_jvp(loop: Loop, structure: Any, primals: Any, tangents: Any) -> Any:
-    """The derivative of a tick, masked at its INPUT where the result is not finite.
+    """Masked gradient: the derivative of a tick, 0 at its INPUT where the result is not finite.
 
     The cotangent of rejected values is zero, and reverse mode would turn it into 0 x NaN.
     """
@@ -214,14 +273,20 @@ def _blank(ok: Array, leaf: Array) -> Array:
 
 
 def report(loop: Loop, carry: Carry) -> Any:
-    """What the metric finishes with, NaN where the run was lost."""
+    """What the metric finishes with; its floats are NaN where the run was lost."""
     return jax.tree.map(partial(_blank, ~lost(carry)), loop.metric.finish(carry.metric))
 
 
 def replay(metric: Metric, rows: Sample, dt: float) -> tuple[Any, Any]:
-    """The report and rows that ``metric`` would have given on recorded samples.
+    """Evaluate a metric on recorded samples.
 
-    rows: what the metric `record` stored, one row per tick. dt: control period in s.
+    Args:
+        metric: Which one.
+        rows: What the metric `record` stored, one row a tick.
+        dt: Control period in s.
+
+    Returns:
+        The report and the rows that it would have given in the run.
     """
     first: Setpoint = jax.tree.map(lambda r: r[0], rows.setpoint)
     acc, out = lax.scan(lambda a, s: metric.update(a, s, dt), metric.init(first), rows)

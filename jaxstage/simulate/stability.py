@@ -9,6 +9,10 @@ small deviations from the run it was taken on. The slope of a sign, or beyond a 
 switch its smooth form here. A gain that adapts has an eigenvalue of 1, or close to it.
 """
 
+# what JAX gives is partly untyped
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownLambdaType=false
+
 import math
 from collections.abc import Callable
 from typing import Any
@@ -32,10 +36,21 @@ POINTS = 65
 
 
 def transition(loop: Loop, gains: Any, scenario: Scenario, path: Any, after: int = 2) -> Array:
-    """Phi (n, n) of the tick that follows the first ``after`` ticks of a run.
+    """State transition matrix Phi of one tick, linearised on a run.
 
-    A sensor that differences and a drive that delays have no past in the first tick: ``after``
-    should be 1 at least, and more than the dead time in periods.
+    Args:
+        loop: What is fixed.
+        gains: What is tuned.
+        scenario: What is uncertain.
+        path: Parameters of the reference.
+        after: Ticks of the run before that one. A sensor that differences and a drive that delays
+            have no past in the first tick: 1 at least, and more than the dead time in periods.
+
+    Returns:
+        Phi, (n, n) for n real numbers that a tick hands on.
+
+    Raises:
+        ValueError: For bad input, naming the value and its allowed range.
     """
     gains, scenario, path = check(loop, gains, scenario, path)
 
@@ -69,7 +84,14 @@ def _joined(carry: Carry, moving: list[Array | None], still: list[Array | None])
 
 
 def spectral_radius(matrix: ArrayLike) -> np.ndarray:
-    """max |eig| of matrices (..., n, n), on the host; inf where one is not finite."""
+    """Spectral radius max |eig| of matrices, on the host.
+
+    Args:
+        matrix: (..., n, n).
+
+    Returns:
+        (...); inf where a matrix is not finite.
+    """
     matrix = np.asarray(matrix, float)
     finite = np.asarray(np.isfinite(matrix).all(axis=(-2, -1)))
     safe = np.where(finite[..., None, None], matrix, 0.0)
@@ -81,10 +103,20 @@ def stability_limit(
 ) -> float:
     """The value in [low, high] at which a loop, stable from ``low`` on, stops being stable.
 
-    radius: spectral radii (values,) of values (values,), usually of one gain; `POINTS` at once, and
-    again between the two that enclose the limit, down to ``tolerance`` of ``high``. An interval of
-    instability below (high - low) / 64 can be missed. Returns inf when the loop is stable up to
-    ``high``; raises ValueError when it is not stable at ``low``.
+    `POINTS` values are tried at once, and again between the two that enclose the limit. An interval
+    of instability below (high - low) / 64 can be missed.
+
+    Args:
+        radius: Spectral radii (values,) of values (values,), usually of one gain.
+        low: A stable value.
+        high: The largest value that is of interest.
+        tolerance: Width of the last interval, relative to ``high``.
+
+    Returns:
+        The largest value known to be stable; inf when the loop is stable up to ``high``.
+
+    Raises:
+        ValueError: When the loop is not stable at ``low``.
     """
     stop = high
     while stop - low > tolerance * abs(high):

@@ -1,5 +1,9 @@
 """One control period: observe, sense, control, limit, settle, delay, substeps, metric."""
 
+# what JAX gives is partly untyped
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownLambdaType=false
+
 from typing import Any
 
 import jax
@@ -14,9 +18,18 @@ from jaxstage.model.signals import Carry, Output, Power, Sample, Scenario
 def tick(loop: Loop, gains: Any, scenario: Scenario, path: Any, carry: Carry) -> tuple[Carry, Any]:
     """Advance one run by one control period.
 
-    The controller is called exactly once and its command held over the substeps; sampling
-    instants do not move when the number of substeps changes. Returns the next carry (its flags
-    untouched) and the row of the metric.
+    The controller is called exactly once and its command held over the substeps (zero-order hold);
+    sampling instants do not move when the number of substeps changes.
+
+    Args:
+        loop: What is fixed.
+        gains: What is tuned.
+        scenario: What is uncertain.
+        path: Parameters of the reference.
+        carry: Before the tick.
+
+    Returns:
+        The next carry, its flags untouched, and the row of the metric.
     """
     dtype = loop.plant.observe(scenario.plant, carry.state).position.dtype
     time = carry.step.astype(dtype) * loop.dt
@@ -78,18 +91,28 @@ def _storing(loop: Loop, scenario: Scenario, before: Any, after: Any) -> Array:
 
 
 def tick_keys(scenario: Scenario, step: Array) -> Array:
-    """The random keys of sensor and load at a tick."""
+    """The random keys of sensor and load at a tick, (2,)."""
     return jax.random.split(jax.random.fold_in(scenario.key, step))
 
 
 def substeps(
     loop: Loop, scenario: Scenario, state: Any, applied: Array, time: Array, key: Array
 ) -> tuple[Any, Output, Power]:
-    """Integrate the plant over one period with ``applied`` held.
+    """Integrate the plant over one period with the applied command held.
 
-    Returns the state, the outputs at the end of each substep (substeps, axes) and the mean power.
     The load is evaluated at the time that the integrator asks for, its output at the start of
     the substep.
+
+    Args:
+        loop: What is fixed.
+        scenario: What is uncertain.
+        state: Of the plant at the start of the period.
+        applied: Command that acts, (axes,) in the plant's unit.
+        time: Start of the period in s.
+        key: Random key of the load.
+
+    Returns:
+        The state at the end, outputs at the end of each substep (substeps, axes), mean power W.
     """
     h = loop.dt / loop.substeps
 

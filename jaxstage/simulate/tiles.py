@@ -1,4 +1,12 @@
-"""How many lanes run best together: measured once per loop and machine, then remembered."""
+"""Tile size of a batch: how many lanes run best together, measured once and remembered.
+
+Autotuning of the portable engine. What is remembered stands in ``tiles.json`` of the cache folder,
+by loop and machine.
+"""
+
+# what JAX gives is partly untyped
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false, reportUnknownLambdaType=false
 
 import functools
 import hashlib
@@ -22,57 +30,61 @@ TICKS = 200
 #: used where nothing can be measured (under a trace) and nothing is remembered
 DEFAULT = 256
 
+#: run(ticks, leaves) simulates the lanes that it is given
+TileProgram = Callable[[int, list[Array]], Any]
+
 
 def remembered_tile(
-    run: Callable[[int, list[Array]], Any],
-    leaves: list[Array],
-    batched: tuple[bool, ...],
-    lanes: int,
+    run: TileProgram, batched: tuple[bool, ...], leaves: list[Array], lanes: int
 ) -> int:
-    """The best tile of a batch, from the notes of an earlier run or by a short measurement.
+    """The best tile of a batch, from an earlier run or by a short measurement.
 
-    run(ticks, leaves): simulates the lanes it is given; the identical function for equal batches,
-    so that the loop is traced for its key only once. Batches that fit the smallest candidate
-    are not worth a measurement.
+    Batches that fit the smallest candidate are not worth a measurement.
+
+    Args:
+        run: The identical function for equal batches, so that the loop is traced for its key only
+            once.
+        batched: Which leaves have a leading batch axis.
+        leaves: Of (gains, scenario, path).
+        lanes: Size of the batch.
+
+    Returns:
+        Lanes that run together.
     """
     if lanes <= CANDIDATES[0]:
         return lanes
     if any(isinstance(x, Tracer) for x in leaves):
         return DEFAULT
     key = _key(run, tuple(jax.eval_shape(lambda v: _lanes(v, batched, 2), leaves)))
-    known = _known()
-    if key not in known:
-        known.update(_read())
-    if key not in known:
-        known[key] = _measure(run, leaves, batched, lanes)
-        _write(_read() | {key: known[key]})
-    return known[key]
+    tiles = _known_tiles()
+    if key not in tiles:
+        tiles.update(_read())
+    if key not in tiles:
+        tiles[key] = _measure(run, batched, leaves, lanes)
+        _write(_read() | {key: tiles[key]})
+    return tiles[key]
 
 
 @functools.cache
-def _known() -> dict[str, int]:
+def _known_tiles() -> dict[str, int]:
     """The tiles that this process has read or measured."""
     return {}
 
 
 def _lanes(leaves: list[Array], batched: tuple[bool, ...], count: int) -> list[Array]:
+    """The leaves of so many lanes, repeated where the batch has fewer."""
     index = jnp.arange(count)
     return [x[index % x.shape[0]] if b else x for x, b in zip(leaves, batched, strict=True)]
 
 
-def _measure(
-    run: Callable[[int, list[Array]], Any],
-    leaves: list[Array],
-    batched: tuple[bool, ...],
-    lanes: int,
-) -> int:
+def _measure(run: TileProgram, batched: tuple[bool, ...], leaves: list[Array], lanes: int) -> int:
     """The candidate with the least time per lane and tick, best of three."""
     program = jax.jit(run, static_argnums=0)
-    costs = {}
+    costs: dict[int, float] = {}
     for tile in (c for c in CANDIDATES if c < 2 * lanes):
         values = _lanes(leaves, batched, tile)
         jax.block_until_ready(program(TICKS, values))
-        times = []
+        times: list[float] = []
         for _ in range(3):
             begin = time.perf_counter()
             jax.block_until_ready(program(TICKS, values))
@@ -82,7 +94,7 @@ def _measure(
 
 
 @functools.cache
-def _key(run: Callable[[int, list[Array]], Any], shapes: tuple[jax.ShapeDtypeStruct, ...]) -> str:
+def _key(run: TileProgram, shapes: tuple[jax.ShapeDtypeStruct, ...]) -> str:
     """Identifies the loop by what it computes, and the machine."""
     text = str(jax.make_jaxpr(lambda v: run(1, v))(list(shapes)))
     parts = (text, jax.__version__, jax.default_backend(), platform.processor(), platform.node())
@@ -97,19 +109,19 @@ def _file() -> Path | None:
 def _read() -> dict[str, int]:
     file = _file()
     try:
-        return json.loads(file.read_text()) if file else {}
+        return json.loads(file.read_text(encoding="utf-8")) if file else {}
     except (OSError, ValueError):
         return {}
 
 
-def _write(known: dict[str, int]) -> None:
+def _write(tiles: dict[str, int]) -> None:
     file = _file()
     if file is None:
         return
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         partial = file.with_suffix(f".{os.getpid()}")
-        partial.write_text(json.dumps(known))
+        partial.write_text(json.dumps(tiles), encoding="utf-8")
         os.replace(partial, file)
     except OSError:
         return  # a read-only cache costs a measurement next time, nothing else

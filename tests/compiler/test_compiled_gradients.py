@@ -120,7 +120,7 @@ def test_gradients_of_runs_that_go_through_time_together():
     gains = spread(c.gains, 40)
     one = program(c)
     made = kernel(one, "pullback", shared_by_all(one), (0, 1))
-    assert "TOGETHER = 2;" in made.text(8) and "TOGETHER = 1;" in made.text(3)
+    assert "INTERLEAVE = 2;" in made.text(8) and "INTERLEAVE = 1;" in made.text(3)
 
     slope = jax.grad(lambda g: run(c, compiled, g, ticks=12).report.ate)
     slopes = jax.jit(jax.vmap(slope))

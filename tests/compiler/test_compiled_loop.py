@@ -15,15 +15,20 @@ from jax import lax
 import jaxstage as js
 from benchmarks.agreement import distinct, moved, spread
 from jaxstage.compiler.cxx.kernels import kernel
-from jaxstage.compiler.runtime import api, toolchain
+from jaxstage.compiler.frontend.step_program import StepSpec
+from jaxstage.compiler.ir.errors import LoweringError
+from jaxstage.compiler.runtime import api, fallback, jax_primitives, toolchain
 from jaxstage.hardware.sensors import Noisy, ideal_sensor, noisy
 from jaxstage.metrics import high_frequency, tracking
 from jaxstage.model.blocks import compiled, scan
 from jaxstage.model.fields import replace
+from jaxstage.simulate import batch
 from jaxstage.simulate.rollout import start
 from tests.helpers.compiled_cases import TICKS, case, close, many, program, run, shared_by_all
 
 ROOT = Path(__file__).parents[2]
+#: the default engine for runs of any length
+from_the_first_tick = replace(js.auto, shortest=1)
 #: one loop of each machine with each kind of law, coupled, with sensors, delays and observers
 LOOPS = (
     "dfcmac-star", "sliding-circle", "cascade-circle", "asmc-s0", "af-pid-ccc-helix",
@@ -147,7 +152,7 @@ def test_elementary_functions_are_accurate_and_keep_nan(dtype, ulps):
 
     def one(x):
         start = jnp.zeros(19, dtype)
-        program, leaves = api.program_of(step, None, x, (), start)
+        program, leaves = api.program_of(StepSpec(step), x, (), start)
         assert api.refusal(program) is None
         return api.rollout(program, leaves, 1)[0]
 
@@ -200,9 +205,17 @@ def test_paths_of_their_own_fall_back_with_a_reason():
     one = program(c)
     flags = [False] * len(one.inputs) + [True] * len(one.shared) + [False] * len(one.carry)
     assert "each run has for itself" in str(api.refusal(one, tuple(flags)))
-    loop = replace(c.loop, engine=compiled)
-    both = jax.vmap(lambda p: js.simulate(loop, c.gains, c.scenario, p, 5).report.ate)(paths)
-    np.testing.assert_allclose(both, run(c, scan, c.gains, ticks=5).report.ate, rtol=1e-12)
+
+    def both(engine):
+        loop = replace(c.loop, engine=engine)
+        return jax.vmap(lambda p: js.simulate(loop, c.gains, c.scenario, p, 5).report.ate)(paths)
+
+    fallback._warn.cache_clear()
+    with pytest.warns(RuntimeWarning, match="runs as a slower lax.scan: .*each run has for itself"):
+        errors = both(from_the_first_tick)
+    np.testing.assert_allclose(errors, run(c, scan, c.gains, ticks=5).report.ate, rtol=1e-12)
+    with pytest.raises(RuntimeError, match=r"engine = compiled, .*each run has for itself"):
+        both(compiled)
 
 
 def test_random_noise_is_a_scan_with_its_reason():
@@ -230,22 +243,76 @@ def odd_law(how):
 
 
 @pytest.mark.parametrize("how", ["sort", "while"])
-def test_a_law_that_cannot_be_compiled_runs_and_says_why(how):
+def test_a_law_that_cannot_be_compiled_runs_and_says_why_once(how):
     c = case("cascade-circle")
     c = c._replace(loop=replace(c.loop, controller=odd_law(how), engine=compiled))
     told = js.explain(c.loop, c.gains, c.scenario, c.path, kernels=("forward",))
     assert not told.compiled and f"primitive '{how}'" in told.text()
-    found = run(c, compiled, c.gains)
+    with pytest.raises(RuntimeError, match=f"engine = compiled, .*primitive '{how}'"):
+        run(c, compiled, c.gains)
+    fallback._warn.cache_clear()
+    with pytest.warns(RuntimeWarning, match=f"lax.scan: .*primitive '{how}'") as warned:
+        found = run(c, from_the_first_tick, c.gains)
+        run(c, from_the_first_tick, c.gains, ticks=TICKS - 1)
+        js.rollouts(
+            replace(c.loop, engine=from_the_first_tick), spread(c.gains, 2), c.scenario, c.path, 5
+        )
+    assert len(warned) == 1
     close(run(c, scan, c.gains).final, found.final, 0)
 
 
 def test_without_a_compiler_everything_works(monkeypatch):
     monkeypatch.setattr(api, "compiler", lambda: None)
     c = case("cascade-circle")
+    fallback._warn.cache_clear()
     # its length is its own, so that no compiled program of another test is met
-    found, expected = (run(c, e, c.gains, ticks=TICKS + 1) for e in (compiled, scan))
-    close(expected.final, found.final, 0)
+    with pytest.warns(RuntimeWarning, match="no C\\+\\+ compiler"):
+        found = run(c, from_the_first_tick, c.gains, ticks=TICKS + 1)
+    close(run(c, scan, c.gains, ticks=TICKS + 1).final, found.final, 0)
     assert "compiler" in str(api.refusal(program(c)))
+
+
+def test_a_compiler_that_fails_is_told_by_every_entry(monkeypatch):
+    """The graph is made, and then the compiler fails: `simulate` and `rollouts` say so."""
+    c = case("cascade-circle")
+    gains = spread(c.gains, 2)
+
+    def failing(text):
+        raise LoweringError("g++ failed: no space left")
+
+    monkeypatch.setattr(jax_primitives, "build", failing)
+    jax_primitives.compiled_kernel.cache_clear()
+    loop = replace(c.loop, engine=from_the_first_tick)
+    try:
+        # lengths of their own, as above
+        for entry in (
+            lambda e: js.rollouts(replace(loop, engine=e), gains, c.scenario, c.path, TICKS + 2),
+            lambda e: many(c, e, gains, ticks=TICKS + 2),
+            lambda e: run(c, e, c.gains, ticks=TICKS + 2),
+        ):
+            fallback._warn.cache_clear()
+            with pytest.warns(RuntimeWarning, match="lax.scan: g\\+\\+ failed: no space left"):
+                found = entry(from_the_first_tick)
+            close(moved(entry(scan)), moved(found), 1e-12)
+            with pytest.raises(RuntimeError, match="g\\+\\+ failed"):
+                entry(compiled)
+    finally:
+        jax_primitives.compiled_kernel.cache_clear()
+        batch._refusal.cache_clear()
+
+
+def test_an_accelerator_is_told_by_what_is_lowered_for_it():
+    c = case("cascade-circle")
+
+    def lowered(engine):
+        traced = jax.jit(lambda g: run(c, engine, g).report.ate).trace(c.gains)
+        return traced.lower(lowering_platforms=("cuda",)).as_text()
+
+    fallback._warn.cache_clear()
+    with pytest.warns(RuntimeWarning, match="for processors alone"):
+        assert "jaxstage_" not in lowered(from_the_first_tick)
+    with pytest.raises(RuntimeError, match="for processors alone"):
+        lowered(compiled)
 
 
 # --- the cache -------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from jaxstage.numerics.smooth import SmoothWidth, creeping, smooth
 from jaxstage.plants import pmsm_table
 from jaxstage.simulate.gradients import (
     FORWARD_LIMIT,
-    Checked,
+    DerivativeRow,
     GradCheck,
     grad_check,
     kinks,
@@ -86,7 +86,7 @@ def checks(smoothed, names, step, stepped, segment):
     for i, name in enumerate(names):
         value, reverse, forward, difference = (np.asarray(lane)[i] for lane in lanes)
         difference = np.pad(difference, (0, x.size - stepped), constant_values=np.nan)
-        rows = map(Checked, chosen.names, x, reverse, forward, difference)
+        rows = map(DerivativeRow, chosen.names, x, reverse, forward, difference)
         found[name] = GradCheck(value, step, tuple(rows), ())
     return found
 

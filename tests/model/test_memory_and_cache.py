@@ -14,8 +14,7 @@ import resource, sys
 import jax, numpy as np
 import jaxstage as js
 js.configure("double", cores=2, cache=sys.argv[1])
-from jaxstage.simulate.batch import _rollouts
-from jaxstage.simulate.batch import rollouts
+from jaxstage.simulate.batch import BatchSpec, _rollouts, _Spreading, rollouts
 from jaxstage.metrics import standard
 lanes, random = int(sys.argv[2]), np.random.default_rng(0)
 spread = lambda x: np.asarray(x) * random.uniform(0.8, 1.2, (lanes, *np.shape(x)))
@@ -43,7 +42,8 @@ for seconds in map(float, sys.argv[3:]):
     leaves, structure = jax.tree.flatten(inputs)
     batched = tuple(x is not None for x in jax.tree.leaves(axes, is_leaf=lambda x: x is None))
     leaves = [jax.numpy.asarray(x) for x in leaves]
-    compiled = _rollouts.lower(loop, ticks, 128, 2, False, structure, batched, leaves).compile()
+    spec, spreading = BatchSpec(loop, ticks, structure, batched), _Spreading(128, 2, False)
+    compiled = _rollouts.lower(spec, spreading, leaves).compile()
     memory = compiled.memory_analysis()
     print(risen, memory.temp_size_in_bytes + memory.output_size_in_bytes)
 """

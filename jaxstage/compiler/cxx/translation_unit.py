@@ -1,5 +1,13 @@
-"""The frame of a kernel's source: functions, the handler that XLA calls, sizes."""
+"""Translation unit of a kernel: the templates that frame its statements, filled in.
 
+A unit is a heading (sizes, state), functions of one control period, and the handler that XLA calls
+through its foreign function interface. The frame of each stands in ``templates/``; only what
+differs from kernel to kernel is put together here.
+"""
+
+import functools
+from pathlib import Path
+from string import Template
 from typing import NamedTuple
 
 from jaxstage.compiler.cxx.emit import copies
@@ -9,78 +17,9 @@ from jaxstage.compiler.frontend.lower import Lowered
 from jaxstage.compiler.frontend.step_program import Program
 from jaxstage.compiler.passes.store_forms import COPY, Store
 
-
-class Source(NamedTuple):
-    """What the pieces of a source have in common. borders: C++ that defines `begin` and `end`, what
-    is done before and after the time loop of a vector of runs. tables: as further arguments of a
-    call."""
-
-    program: Program
-    low: Lowered
-    where: Layout
-    hoisted: Hoisted
-    borders: str
-    tables: str
-
-    @property
-    def passed(self) -> str:
-        """Arguments of one function to another."""
-        return f"r, ri, row, rowi, NB{self.tables}"
-
-
-def source_of(program: Program, low: Lowered, where: Layout, stores: list[Store]) -> Source:
-    """The frame of a kernel that computes the stores in each tick."""
-    hoisted = hoist(low, stores, cells(where))
-    begin = [
-        *hoisted.lines,
-        "for (int i = 0; i < NC; i++) c[i] = load(C + i * NB + b);",
-        "for (int i = 0; i < NCI; i++) ci[i] = load_ints(CI + i * NB + b);",
-    ]
-    borders = f"""auto begin = [&](int64_t b, vec* h, ints* hi, vec* c, ints* ci) {{
-    {_joined(begin)}
-  }};
-  auto end = [&](int64_t b, const vec* c, const ints* ci) {{
-    for (int i = 0; i < NC; i++) store(C1 + i * NB + b, c[i]);
-    for (int i = 0; i < NCI; i++) store_ints(CI1 + i * NB + b, ci[i]);
-  }};"""
-    tables = "".join(f", T{i}" for i in range(len(low.tables)))
-    return Source(program, low, where, hoisted, borders, tables)
-
-
-def _tables(source: Source) -> list[str]:
-    """C types of the tables."""
-    kinds = {}
-    for node in source.low.graph.nodes:
-        if node.op == "load" and node.value[0][0] == "t":
-            kinds[node.value[0][1]] = "real" if node.kind == "f" else "int32_t"
-    return [kinds.get(i, "real") for i in range(len(source.low.tables))]
-
-
-def text_of(
-    source: Source, name: str, statements: list[str], together: int, more: str = "",
-    seldom: bool = False,
-) -> str:  # fmt: skip
-    """A C++ function of statements on several vectors. more: parameters; seldom: is it called?"""
-    tables = "".join(f", const {kind}* T{i}" for i, kind in enumerate(_tables(source)))
-    kind = "noinline, cold" if seldom else "always_inline"
-    return f"""
-static {"" if seldom else "inline "}__attribute__(({kind})) void {name}(
-    vec (*c)[NC], ints (*ci)[NCI], vec (*d)[ND], vec (*a)[NA], const vec (*h)[NH],
-    const ints (*hi)[NHI], const real* __restrict r, const int32_t* __restrict ri, real* row,
-    int32_t* rowi, int64_t NB{tables}{more}) {{
-  {_joined([*copies([*_ARRAYS], together), *statements])}
-}}
-"""
-
-
-def holds(condition: str, together: int) -> str:
-    """C text: whether a condition holds in every lane of all vectors."""
-    return " && ".join(copies([f"everywhere({condition})"], together))
-
-
-def _joined(statements: list[str]) -> str:
-    return "\n  ".join(statements)
-
+TEMPLATES = Path(__file__).parent / "templates"
+#: arguments of the handler that stand before the tables, see `kernels`
+FIXED_ARGUMENTS = 8
 
 #: the arrays of a vector; cotangents stand where tangents do
 _ARRAYS = (
@@ -92,83 +31,135 @@ _ARRAYS = (
 )
 
 
-def heading(source: Source, together: int) -> str:
-    """Sizes; to be made after all functions, which find out what they read."""
-    groups = source.where.groups
-    sizes = {
-        "NH": source.hoisted.reals, "NHI": source.hoisted.wholes,
-        "NC": _cells(source, True), "NCI": _cells(source, False),
-        "NR": len(groups["r"].real), "NRI": len(groups["r"].whole),
-        "ND": _moving(source, "dg"), "NA": _moving(source, "qa"),
-    }  # fmt: skip
-    lines = [f"constexpr int {name} = {value};" for name, value in sizes.items()]
-    return f"""#define REAL {"float" if source.low.single else "double"}
-#include <algorithm>
-#include "simd.h"
-#include "xla/ffi/api/c_api.h"
-{chr(10).join(lines)}
-constexpr int TOGETHER = {together};  // vectors of runs that go through time together
-struct State {{ vec c[TOGETHER][NC]; ints ci[TOGETHER][NCI]; }};
-INLINE void keep(State& s, const vec (*c)[NC], const ints (*ci)[NCI]) {{
-  memcpy(s.c, c, sizeof s.c);
-  memcpy(s.ci, ci, sizeof s.ci);
-}}
-INLINE void take(const State& s, vec (*c)[NC], ints (*ci)[NCI]) {{
-  memcpy(c, s.c, sizeof s.c);
-  memcpy(ci, s.ci, sizeof s.ci);
-}}
-template <class T> T* in(XLA_FFI_CallFrame* f, int i) {{
-  return (T*)((XLA_FFI_Buffer*)f->args.args[i])->data;
-}}
-template <class T> T* out(XLA_FFI_CallFrame* f, int i) {{
-  return (T*)((XLA_FFI_Buffer*)f->rets.rets[i])->data;
-}}
-static XLA_FFI_Error* failed(XLA_FFI_CallFrame* f, const char* why) {{
-  XLA_FFI_Error_Create_Args args{{}};
-  args.struct_size = XLA_FFI_Error_Create_Args_STRUCT_SIZE;
-  args.message = why;
-  args.errc = XLA_FFI_Error_Code_RESOURCE_EXHAUSTED;
-  return f->api->XLA_FFI_Error_Create(&args);
-}}
-"""
+class Source(NamedTuple):
+    """What the pieces of a translation unit have in common.
+
+    Attributes:
+        program: The loop.
+        lowered: One control period of it as a graph.
+        layout: Slots of the kernel's inputs.
+        hoisted: Statements that stand before the time loop.
+    """
+
+    program: Program
+    lowered: Lowered
+    layout: Layout
+    hoisted: Hoisted
+
+    @property
+    def tables(self) -> str:
+        """The tables as further arguments of a call."""
+        return "".join(f", T{i}" for i in range(len(self.lowered.tables)))
+
+    @property
+    def passed(self) -> str:
+        """Arguments that one function of a period hands on to another."""
+        return f"r, ri, row, rowi, NB{self.tables}"
+
+    @property
+    def table_types(self) -> list[str]:
+        """C types of the elements of the tables."""
+        types: dict[int, str] = {}
+        for node in self.lowered.graph.nodes:
+            if node.op == "load" and node.value[0][0] == "t":
+                types[node.value[0][1]] = "real" if node.kind == "f" else "int32_t"
+        return [types.get(i, "real") for i in range(len(self.lowered.tables))]
 
 
-def _cells(source: Source, real: bool) -> int:
-    leaves = source.program.carry
-    return sum(leaves[number].size for number, (r, _) in source.where.carry.items() if r == real)
+@functools.cache
+def template(name: str) -> Template:
+    """The template ``templates/<name>.cc.in``."""
+    return Template((TEMPLATES / f"{name}.cc.in").read_text(encoding="utf-8"))
 
 
-def _moving(source: Source, names: str) -> int:
-    program = source.program
-    first, second = names
-    leaves = program.carry if first == "d" else program.leaves
-    return sum(leaves[number].size for name, number in source.where.moving if name == second)
+def source_of(program: Program, lowered: Lowered, layout: Layout, stores: list[Store]) -> Source:
+    """The common part of a kernel that computes the stores in each control period."""
+    return Source(program, lowered, layout, hoist(lowered, stores, cells(layout)))
 
 
-def handler(source: Source, head: str, body: str) -> str:
-    """The function that XLA calls: its arguments by name, then the work."""
-    tables = "".join(
-        f"\n  const {kind}* T{i} = in<{kind}>(frame, {8 + i});"
-        for i, kind in enumerate(_tables(source))
+def function_text(
+    source: Source,
+    name: str,
+    statements: list[str],
+    interleave: int,
+    parameters: str = "",
+    cold: bool = False,
+) -> str:
+    """A C++ function of one control period.
+
+    Args:
+        source: The unit that it stands in.
+        name: Its name.
+        statements: Its body; the arrays of each vector have their names there.
+        interleave: Vectors of runs that go through time together.
+        parameters: Further parameters, each after a comma.
+        cold: Whether it is called seldom, and so not inlined.
+
+    Returns:
+        C++ text.
+    """
+    tables = "".join(f", const {kind}* T{i}" for i, kind in enumerate(source.table_types))
+    kind = "__attribute__((noinline, cold))" if cold else "inline __attribute__((always_inline))"
+    lines = [*copies([*_ARRAYS], interleave), *statements]
+    return template("function").substitute(
+        attributes=kind, name=name, parameters=tables + parameters, statements="\n  ".join(lines)
     )
-    return f"""
-extern "C" XLA_FFI_Error* kernel(XLA_FFI_CallFrame* frame) {{
-  auto* extension = frame->extension_start;
-  if (extension && extension->type == XLA_FFI_Extension_Metadata) {{
-    auto* metadata = ((XLA_FFI_Metadata_Extension*)extension)->metadata;
-    metadata->api_version.major_version = XLA_FFI_API_MAJOR;
-    metadata->api_version.minor_version = XLA_FFI_API_MINOR;
-    return nullptr;
-  }}
-  const real *P = in<real>(frame, 0), *S = in<real>(frame, 2), *R = in<real>(frame, 4);
-  const int32_t *PI = in<int32_t>(frame, 1), *SI = in<int32_t>(frame, 3);
-  const int32_t* RI = in<int32_t>(frame, 5);
-  const real* C = in<real>(frame, 6);
-  const int32_t* CI = in<int32_t>(frame, 7);
-  const int64_t N = ((XLA_FFI_Buffer*)frame->args.args[4])->dims[0];
-  const int64_t NB = ((XLA_FFI_Buffer*)frame->args.args[6])->dims[1];{tables}
-  {head}
-  {body}
-  return nullptr;
-}}
-"""
+
+
+def holds(condition: str, interleave: int) -> str:
+    """C text: whether a condition holds in every lane of all vectors."""
+    return " && ".join(copies([f"everywhere({condition})"], interleave))
+
+
+def heading(source: Source, interleave: int) -> str:
+    """Includes, sizes and state; made after all functions, which find out what they read."""
+    groups = source.layout.groups
+    sizes = {
+        "NH": source.hoisted.reals,
+        "NHI": source.hoisted.wholes,
+        "NC": _carried_cells(source, real=True),
+        "NCI": _carried_cells(source, real=False),
+        "NR": len(groups["r"].real),
+        "NRI": len(groups["r"].whole),
+        "ND": _derivative_cells(source, "d"),
+        "NA": _derivative_cells(source, "q"),
+    }
+    lines = "\n".join(f"constexpr int {name} = {value};" for name, value in sizes.items())
+    real = "float" if source.lowered.single else "double"
+    return template("heading").substitute(real=real, sizes=lines, interleave=interleave)
+
+
+def _carried_cells(source: Source, real: bool) -> int:
+    leaves = source.program.carry
+    return sum(leaves[number].size for number, (r, _) in source.layout.carry.items() if r == real)
+
+
+def _derivative_cells(source: Source, group: str) -> int:
+    """Elements that have tangents: ``d`` of the carry, ``q`` of the other leaves."""
+    program = source.program
+    leaves = program.carry if group == "d" else program.leaves
+    return sum(leaves[number].size for name, number in source.layout.moving if name == group)
+
+
+def handler(source: Source, name: str, **values: int) -> str:
+    """The function that XLA calls: its arguments by name, then the time loop of all runs.
+
+    Args:
+        source: The unit that it stands in.
+        name: The template of the work: ``forward``, ``tangent`` or ``pullback``.
+        **values: What that template needs beside ``borders``, ``tables`` and the numbers of the
+            arguments that follow the tables, ``first`` and ``second``.
+
+    Returns:
+        C++ text.
+    """
+    tables = "".join(
+        f"\n  const {kind}* T{i} = in<{kind}>(frame, {FIXED_ARGUMENTS + i});"
+        for i, kind in enumerate(source.table_types)
+    )
+    borders = template("borders").substitute(hoisted="\n    ".join(source.hoisted.lines))
+    first = FIXED_ARGUMENTS + len(source.lowered.tables)
+    body = template(name).substitute(
+        values, borders=borders.rstrip(), tables=source.tables, first=first, second=first + 1
+    )
+    return template("handler").substitute(tables=tables, body=body.rstrip())

@@ -91,7 +91,7 @@ def _inputs(
                 )
             carried = number - program.num_consts
             group = ("c", carried) if carried >= 0 else ("p", number)
-            promised = carried >= 0 and program.finite
+            promised = carried >= 0 and program.spec.finite
             values[value] = _array(graph, group, leaf, promised)
     extra = steps.arguments[len(leaves) :]
     for value, group in zip(extra, groups, strict=True):

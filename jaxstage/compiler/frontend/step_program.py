@@ -3,8 +3,8 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,24 +15,44 @@ from jaxstage.numerics.segmented_scan import segmented
 Leaves = tuple[jax.ShapeDtypeStruct, ...]
 
 
-@dataclasses.dataclass(frozen=True)
-class Program:
-    """step(static, inputs, shared, carry) -> (carry, row), flattened.
+class StepSpec(NamedTuple):
+    """One control period, and what is known of its loop.
 
-    inputs, shared, carry: structures and shapes of one run. keys: (leaf, implementation) of the
-    random keys among all leaves, which travel as integers. segment: ticks per checkpointed segment
-    of the scan. finite: floats of the carry are finite in every run that still changes.
+    Attributes:
+        function: ``function(static, inputs, shared, carry) -> (carry, row)``.
+        static: Hashable argument of it.
+        segment: Ticks per checkpointed segment, where it runs as a scan; 0 for a plain scan.
+        finite: The caller promises that the floats of the carry are finite in every run that still
+            changes.
+        strict: Whether to refuse rather than to run as a scan.
     """
 
-    step: Callable[..., Any]
-    static: Any
-    structures: tuple[Any, Any, Any]
+    function: Callable[..., Any]
+    static: Hashable = None
+    segment: int = 0
+    finite: bool = False
+    strict: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Program:
+    """A `StepSpec` with the structure of its arguments: what one run is made of.
+
+    Attributes:
+        spec: The control period.
+        structures: Of inputs, shared and carry.
+        inputs: Shapes of what may differ from run to run.
+        shared: Shapes of what usually does not.
+        carry: Shapes of what one tick hands to the next.
+        keys: (leaf, implementation) of the random keys among all leaves, which travel as integers.
+    """
+
+    spec: StepSpec
+    structures: tuple[Any, ...]
     inputs: Leaves
     shared: Leaves
     carry: Leaves
     keys: tuple[tuple[int, Any], ...]
-    segment: int
-    finite: bool
 
     @property
     def leaves(self) -> Leaves:
@@ -79,7 +99,7 @@ def _applied(program: Program, *leaves: Any) -> tuple[Any, Any]:
     a, b = len(program.inputs), program.num_consts
     parts = values[:a], values[a:b], values[b:]
     trees = (jax.tree.unflatten(s, p) for s, p in zip(program.structures, parts, strict=True))
-    return program.step(program.static, *trees)
+    return program.spec.function(program.spec.static, *trees)
 
 
 @functools.cache
@@ -170,7 +190,7 @@ def scan(program: Program, ticks: int, leaves: Any) -> list[Any]:
         out = tick(program, *fixed, *carry)
         return out[:count], out[count:]
 
-    carry, rows = segmented(step, list(leaves[program.num_consts :]), ticks, program.segment)
+    carry, rows = segmented(step, list(leaves[program.num_consts :]), ticks, program.spec.segment)
     return [*carry, *rows]
 
 

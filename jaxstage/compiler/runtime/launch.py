@@ -9,43 +9,75 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jaxstage.compiler.cxx.kernels import TOGETHER, Kernel
+from jaxstage.compiler.cxx.kernels import INTERLEAVE, Kernel
 from jaxstage.compiler.frontend.binding_time import CONSTANT, FIXED, TICK, run
 from jaxstage.compiler.frontend.step_program import Program, row_structure
 from jaxstage.compiler.runtime.toolchain import build
 
 #: lanes of the widest vector of any processor, in single and double: batches are padded to them
 WIDEST = {True: 16, False: 8}
+#: runs from which on all batches of a program have the same kernel
+MANY = INTERLEAVE * max(WIDEST.values())
 #: the most numbers of ticks that are kept at once
 KEPT = 2**18
 
 
-class Call(NamedTuple):
-    """One call of a kernel. batched: which leaves have a leading axis of ``runs``; args: the
-    leaves; fixed: the values that all runs and ticks share."""
+class RunBatch(NamedTuple):
+    """Runs of a program that go through time together.
+
+    Attributes:
+        program: The loop.
+        batched: Which operands have a leading axis of ``runs``.
+        runs: How many.
+        ticks: Control periods.
+    """
 
     program: Program
-    kernel: Kernel
     batched: tuple[bool, ...]
     runs: int
     ticks: int
+
+    @property
+    def vectors(self) -> int:
+        """Vectors of the widest processor that hold the runs, many as whole groups."""
+        return vectors(self.program, self.runs)
+
+
+def vectors(program: Program, runs: int) -> int:
+    """Vectors of the widest processor that hold the runs; many, whole groups of `INTERLEAVE`."""
+    count = -(-runs // WIDEST[program.single])
+    return count if count < INTERLEAVE else count + -count % INTERLEAVE
+
+
+class Call(NamedTuple):
+    """One call of a kernel.
+
+    Attributes:
+        batch: The runs.
+        kernel: What computes them.
+        args: The leaves of the program.
+        fixed: Values that all runs and ticks share, by their number in the staged program.
+    """
+
+    batch: RunBatch
+    kernel: Kernel
     args: tuple[Any, ...]
     fixed: dict[int, Any]
 
     @property
-    def real(self) -> Any:
+    def program(self) -> Program:
+        """The loop."""
+        return self.batch.program
+
+    @property
+    def real(self) -> type[np.floating]:
         """The type of its reals."""
         return np.float32 if self.program.single else np.float64
 
     @property
     def lanes(self) -> int:
         """Runs, padded to whole vectors; many, to vectors that go through time together."""
-        return self.vectors * WIDEST[self.program.single]
-
-    @property
-    def vectors(self) -> int:
-        """Vectors of the widest processor that hold the runs."""
-        return vectors(self.program, self.runs)
+        return self.batch.vectors * WIDEST[self.program.single]
 
     @property
     def piece(self) -> int:
@@ -54,34 +86,27 @@ class Call(NamedTuple):
         return max(KEPT // (len(slots.real) + len(slots.whole) + 1), 256)
 
 
-def vectors(program: Program, runs: int) -> int:
-    """Vectors of the widest processor that hold the runs; many, whole groups of `TOGETHER`."""
-    count = -(-runs // WIDEST[program.single])
-    return count if count < TOGETHER else count + -count % TOGETHER
-
-
-def call(
-    program: Program, kernel: Kernel, batched: tuple[bool, ...], runs: int, ticks: int, args: Any
-) -> Call:
+def prepare(batch: RunBatch, kernel: Kernel, args: Any) -> Call:
     """A call, with what JAX computes once for all runs and ticks."""
     staged = kernel.lowered.staged
     values = dict(staged.program.constants)
-    for number, value in enumerate(staged.program.arguments[: len(program.leaves)]):
+    for number, value in enumerate(staged.program.arguments[: len(batch.program.leaves)]):
         if staged.of(value) == FIXED:
             values[value] = args[number]
     run([s for s in staged.shared(CONSTANT) if s.reads or s.writes], values)
     run(staged.shared(FIXED), values)
-    return Call(program, kernel, batched, runs, ticks, tuple(args), values)
+    return Call(batch, kernel, tuple(args), values)
 
 
 # --- packing -----------------------------------------------------------------------------------
 
 
 def in_lanes(call: Call, leaf: Array, batched: bool, dtype: Any) -> Array:
-    """A leaf as (elements, lanes)."""
+    """A leaf as (elements, lanes); lanes that only fill a vector repeat the last run."""
+    runs = call.batch.runs
     if batched:
-        flat = leaf.reshape(call.runs, -1).T
-        return jnp.pad(_as(flat, dtype), ((0, 0), (0, call.lanes - call.runs)), mode="edge")
+        flat = leaf.reshape(runs, -1).T
+        return jnp.pad(_as(flat, dtype), ((0, 0), (0, call.lanes - runs)), mode="edge")
     return jnp.broadcast_to(_as(leaf, dtype).reshape(-1, 1), (leaf.size, call.lanes))
 
 
@@ -116,7 +141,11 @@ def parameters(call: Call) -> tuple[Array, Array]:
 
     def group(table: dict[tuple[int, int], int], dtype: Any) -> Array:
         empty = jnp.zeros((0, call.lanes), dtype)
-        return _chosen(table, lambda n: in_lanes(call, call.args[n], call.batched[n], dtype), empty)
+
+        def leaf(number: int) -> Array:
+            return in_lanes(call, call.args[number], call.batch.batched[number], dtype)
+
+        return _chosen(table, leaf, empty)
 
     return group(slots.real, call.real), group(slots.whole, np.int32)
 
@@ -162,12 +191,12 @@ def of_ticks(call: Call, first: Any, count: int) -> tuple[Array, Array]:
 
 def tables(call: Call) -> list[Array]:
     """Arrays that the kernel reads by index."""
+    arrays = [call.fixed[value] for value in call.kernel.lowered.tables]
+    real = [jnp.issubdtype(x.dtype, jnp.floating) for x in arrays]
     return [
-        call.fixed[v].astype(
-            call.real if jnp.issubdtype(call.fixed[v].dtype, jnp.floating) else np.int32
-        ).reshape(-1)
-        for v in call.kernel.lowered.tables
-    ]  # fmt: skip
+        x.astype(call.real if r else np.int32).reshape(-1)
+        for x, r in zip(arrays, real, strict=True)
+    ]
 
 
 def carry(call: Call) -> tuple[Array, Array]:
@@ -176,10 +205,9 @@ def carry(call: Call) -> tuple[Array, Array]:
     for number, (real, _) in call.kernel.layout.carry.items():
         position = program.num_consts + number
         dtype = call.real if real else np.int32
-        out[real].append(in_lanes(call, call.args[position], call.batched[position], dtype))
-    return (
-        _stacked(out[True], call.lanes, call.real), _stacked(out[False], call.lanes, np.int32)
-    )  # fmt: skip
+        out[real].append(in_lanes(call, call.args[position], call.batch.batched[position], dtype))
+    reals = _stacked(out[True], call.lanes, call.real)
+    return reals, _stacked(out[False], call.lanes, np.int32)
 
 
 def unpack(call: Call, rows: Array, shapes: list[Any]) -> list[Array]:
@@ -187,7 +215,7 @@ def unpack(call: Call, rows: Array, shapes: list[Any]) -> list[Array]:
     out, at = [], 0
     for leaf in shapes:
         count = math.prod(leaf.shape)
-        part = rows[at : at + count, : call.runs].T.reshape(call.runs, *leaf.shape)
+        part = rows[at : at + count, : call.batch.runs].T.reshape(call.batch.runs, *leaf.shape)
         out.append(_back(part, leaf.dtype))
         at += count
     return out
@@ -206,7 +234,7 @@ def invoke(
     call: Call, results: list[Any], first: Any, count: int, state: Any, more: tuple[Any, ...] = ()
 ) -> list[Array]:
     """The kernel over ``count`` ticks. results: shapes and types; more: derivatives."""
-    target = build(call.kernel.text(call.vectors)).target
+    target = build(call.kernel.text(call.batch.vectors)).target
     shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in results]
     numbers = of_ticks(call, first, count)
     arguments = (*parameters(call), *shared(call), *numbers, *state, *tables(call), *more)
@@ -229,78 +257,93 @@ def pieces(
     return state, rows
 
 
-def forward(
-    program: Program, kernel: Kernel, batched: tuple[bool, ...], runs: int, ticks: int, args: Any
-) -> list[Array]:
+def forward(batch: RunBatch, kernel: Kernel, args: Any) -> list[Array]:
     """Leaves of the carry and of the rows after the ticks, the batch leading."""
-    own = call(program, kernel, batched, runs, ticks, args)
+    call = prepare(batch, kernel, args)
     counts = kernel.counts
 
     def piece(state: Any, first: Any, count: int) -> Any:
         c, ci = state
         shapes = [
-            (c.shape, own.real), (ci.shape, np.int32),
-            ((count, counts["row"], own.lanes), own.real),
-            ((count, counts["rowi"], own.lanes), np.int32),
-        ]  # fmt: skip
-        c, ci, row, rowi = invoke(own, shapes, first, count, state)
+            (c.shape, call.real),
+            (ci.shape, np.int32),
+            ((count, counts["row"], call.lanes), call.real),
+            ((count, counts["rowi"], call.lanes), np.int32),
+        ]
+        c, ci, row, rowi = invoke(call, shapes, first, count, state)
         return (c, ci), (row, rowi)
 
-    state, rows = pieces(piece, carry(own), ticks, own.piece)
-    return [*after(own, state), *stored(own, rows)]
+    state, rows = pieces(piece, carry(call), batch.ticks, call.piece)
+    return [*after(call, state), *stored(call, rows)]
 
 
-def tangent(
-    program: Program, kernel: Kernel, batched: tuple[bool, ...], runs: int, ticks: int,
-    moving: tuple[int, ...], args: Any,
-) -> list[Array]:  # fmt: skip
-    """Tangents of the real carry after the ticks. args: leaves, then tangents."""
-    count = len(program.leaves)
-    own = call(program, kernel, batched[:count], runs, ticks, args[:count])
-    q = _given(own, args[count : count + len(moving)], batched[count:])
-    d = _given(own, args[count + len(moving) :], batched[count + len(moving) :])
+def tangent(batch: RunBatch, kernel: Kernel, moving: tuple[int, ...], args: Any) -> list[Array]:
+    """Push tangents through the ticks.
+
+    Args:
+        batch: The runs.
+        kernel: The kernel ``tangent``.
+        moving: Leaves beside the carry that have tangents.
+        args: The leaves, then the tangents of the moving ones, then of the real carry.
+
+    Returns:
+        Tangents of the real carry after the ticks, the batch leading.
+    """
+    count = len(batch.program.leaves)
+    call = prepare(_of_leaves(batch), kernel, args[:count])
+    middle = count + len(moving)
+    q = _derivatives(call, args[count:middle], batch.batched[count:])
+    d = _derivatives(call, args[middle:], batch.batched[middle:])
 
     def piece(state: Any, first: Any, length: int) -> Any:
         c, ci, d = state
-        shapes = [(c.shape, own.real), (ci.shape, np.int32), (d.shape, own.real)]
-        return tuple(invoke(own, shapes, first, length, (c, ci), (q, d))), None
+        shapes = [(c.shape, call.real), (ci.shape, np.int32), (d.shape, call.real)]
+        return tuple(invoke(call, shapes, first, length, (c, ci), (q, d))), None
 
-    (_, _, d), _ = pieces(piece, (*carry(own), d), ticks, own.piece)
-    return unpack(own, d, [program.carry[i] for i in program.real_carry])
+    (_, _, d), _ = pieces(piece, (*carry(call), d), batch.ticks, call.piece)
+    return unpack(call, d, [batch.program.carry[i] for i in batch.program.real_carry])
 
 
 def pullback(
-    program: Program, kernels: tuple[Kernel, Kernel], batched: tuple[bool, ...], runs: int,
-    ticks: int, moving: tuple[int, ...], args: Any,
-) -> list[Array]:  # fmt: skip
-    """Cotangents of the moving leaves and of the real carry. kernels: back, and forward.
+    batch: RunBatch, backward: Kernel, onward: Kernel, moving: tuple[int, ...], args: Any
+) -> list[Array]:
+    """Pull cotangents back through the ticks.
 
-    args: leaves, then cotangents of the real carry. Long runs go forward first, keeping the carry
-    at the start of every piece, then back piece by piece.
+    Long runs go forward first, keeping the carry at the start of every piece, then back piece by
+    piece.
+
+    Args:
+        batch: The runs.
+        backward: The kernel ``pullback``.
+        onward: The kernel ``forward``.
+        moving: Leaves beside the carry that have cotangents.
+        args: The leaves, then the cotangents of the real carry.
+
+    Returns:
+        Cotangents of the moving leaves and of the real carry, the batch leading.
     """
-    count = len(program.leaves)
-    backward, onward = (
-        call(program, k, batched[:count], runs, ticks, args[:count]) for k in kernels
-    )
-    g = _given(backward, args[count:], batched[count:])
+    program, ticks, count = batch.program, batch.ticks, len(batch.program.leaves)
+    back_call, on_call = (prepare(_of_leaves(batch), k, args[:count]) for k in (backward, onward))
+    real = back_call.real
+    g = _derivatives(back_call, args[count:], batch.batched[count:])
     leaves = [program.leaves[i] for i in moving]
-    a = jnp.zeros((sum(math.prod(x.shape) for x in leaves), backward.lanes), backward.real)
-    shapes = [(a.shape, backward.real), (g.shape, backward.real)]
+    a = jnp.zeros((sum(math.prod(x.shape) for x in leaves), back_call.lanes), real)
+    shapes = [(a.shape, real), (g.shape, real)]
 
     def back(sums: Any, first: Any, length: int, state: Any) -> tuple[Array, Array]:
         a, g = sums
-        more, g = invoke(backward, shapes, first, length, state, (g,))
+        more, g = invoke(back_call, shapes, first, length, state, (g,))
         return a + more, g
 
     def on(state: Any, first: Any, length: int) -> Any:
         c, ci = state
-        none = [((length, 0, onward.lanes), t) for t in (onward.real, np.int32)]
+        none = [((length, 0, on_call.lanes), t) for t in (real, np.int32)]
         moved = invoke(
-            onward, [(c.shape, onward.real), (ci.shape, np.int32), *none], first, length, state
+            on_call, [(c.shape, real), (ci.shape, np.int32), *none], first, length, state
         )
         return (moved[0], moved[1]), state
 
-    state, length = carry(backward), backward.piece
+    state, length = carry(back_call), back_call.piece
     if ticks <= length:
         a, g = back((a, g), 0, ticks, state)
     else:
@@ -310,14 +353,21 @@ def pullback(
         if rest:
             a, g = back((a, g), whole * length, rest, state)
         (a, g), _ = lax.scan(
-            lambda s, at: (back(s, at[0], length, at[1]), None), (a, g), (firsts, kept),
+            lambda s, at: (back(s, at[0], length, at[1]), None),
+            (a, g),
+            (firsts, kept),
             reverse=True,
-        )  # fmt: skip
-    real = [program.carry[i] for i in program.real_carry]
-    return [*unpack(backward, a, leaves), *unpack(backward, g, real)]
+        )
+    carried = [program.carry[i] for i in program.real_carry]
+    return [*unpack(back_call, a, leaves), *unpack(back_call, g, carried)]
 
 
-def _given(call: Call, leaves: Any, batched: Any) -> Array:
+def _of_leaves(batch: RunBatch) -> RunBatch:
+    """The batch of the leaves alone, without that of tangents or cotangents."""
+    return batch._replace(batched=batch.batched[: len(batch.program.leaves)])
+
+
+def _derivatives(call: Call, leaves: Any, batched: Any) -> Array:
     """Tangents or cotangents as (elements, lanes)."""
     pairs = zip(leaves, batched[: len(leaves)], strict=True)
     rows = [in_lanes(call, x, b, call.real) for x, b in pairs]
@@ -327,31 +377,35 @@ def _given(call: Call, leaves: Any, batched: Any) -> Array:
 def after(call: Call, state: Any) -> list[Array]:
     """The leaves of the carry."""
     program, kernel = call.program, call.kernel
-    found: dict[int, Array] = {}
+    ends: dict[int, Array] = {}
     for real, rows in zip((True, False), state, strict=True):
         numbers = [n for n, (r, _) in kernel.layout.carry.items() if r == real]
         leaves = unpack(call, rows, [program.carry[n] for n in numbers])
-        found.update(zip(numbers, leaves, strict=True))
+        ends.update(zip(numbers, leaves, strict=True))
     for number in kernel.lowered.counter:
         start = call.args[program.num_consts + number]
-        found[number] = jnp.broadcast_to(start + jnp.asarray(call.ticks, start.dtype), (call.runs,))
-    return [found[n] for n in range(len(program.carry))]
+        end = start + jnp.asarray(call.batch.ticks, start.dtype)
+        ends[number] = jnp.broadcast_to(end, (call.batch.runs,))
+    return [ends[n] for n in range(len(program.carry))]
 
 
 def stored(call: Call, rows: Any) -> list[Array]:
     """The leaves of the rows: those of the kernel, and those that all runs share."""
-    program, low = call.program, call.kernel.lowered
+    program, staged = call.program, call.kernel.lowered.staged
+    _, _, runs, ticks = call.batch
     out = []
     for number, leaf in enumerate(row_structure(program)[1]):
-        shape = (call.runs, call.ticks, *leaf.shape)
+        shape = (runs, ticks, *leaf.shape)
         if number in call.kernel.rows:
             real, first = call.kernel.rows[number]
-            part = rows[0 if real else 1][:, first : first + math.prod(leaf.shape), : call.runs]
+            part = rows[0 if real else 1][:, first : first + math.prod(leaf.shape), :runs]
             out.append(_back(jnp.moveaxis(part, -1, 0).reshape(shape), leaf.dtype))
             continue
-        value = low.staged.program.results[len(program.carry) + number]
-        every = jax.vmap(lambda k, v=value: jnp.asarray(at_tick(call, k)[v], leaf.dtype))(  # noqa: B023
-            jnp.arange(call.ticks, dtype=jnp.int32)
-        )
+        value = staged.program.results[len(program.carry) + number]
+
+        def one(ahead: Array, value: Any = value, leaf: Any = leaf) -> Array:
+            return jnp.asarray(at_tick(call, ahead)[value], leaf.dtype)
+
+        every = jax.vmap(one)(jnp.arange(ticks, dtype=jnp.int32))
         out.append(jnp.broadcast_to(every[None], shape))
     return out
