@@ -10,8 +10,8 @@ import jax
 
 import jaxstage as js
 
-from . import compare, costs, memory
-from .build import compiler
+from . import against_cxx, costs, memory
+from .cxx_build import compiler
 from .timing import machine
 
 
@@ -21,43 +21,39 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--json", type=Path, help="write the times of the main table here, too")
     parser.add_argument("--gpu", action="store_true", help="only the portable engine on a GPU")
     parser.add_argument("--whole", action="store_true", help="memory of whole runs (minutes)")
-    parser.add_argument("--child", help=argparse.SUPPRESS)
     return parser.parse_args()
 
 
-def _against_c(quick: bool) -> list[compare.Result]:
+def _against_c(quick: bool) -> list[against_cxx.Result]:
     if compiler() is None:
         print("\njaxstage against C++: not measured, there is no g++ here")
         return []
-    best, text = compare.best_variants(0.1 if quick else 1.0)
+    best, text = against_cxx.best_variants(0.1 if quick else 1.0)
     print(text, flush=True)
     results = []
-    for row in compare.rows(quick):
-        results.append(compare.measure(row, best[row.law, row.dtype], 1.0 if quick else 2.0))
+    for row in against_cxx.rows(quick):
+        results.append(against_cxx.measure(row, best[row.law, row.dtype], 1.0 if quick else 2.0))
         print(f"  {'.' * len(results)}", end="\r", flush=True)
-    print(compare.report(results), flush=True)
+    print(against_cxx.report(results), flush=True)
     return results
 
 
-def _write(file: Path, results: list[compare.Result]) -> None:
-    found = [
-        {**r.row._asdict(), "ticks": r.row.ticks, "difference": r.difference,
-         "seconds": {name: t._asdict() for name, t in r.times.items()}}
-        for r in results
-    ]  # fmt: skip
-    file.write_text(json.dumps({"machine": machine(), "rows": found}, indent=1), encoding="utf-8")
+def _write(file: Path, results: list[against_cxx.Result]) -> None:
+    rows = []
+    for result in results:
+        seconds = {name: times._asdict() for name, times in result.times.items()}
+        own = {"ticks": result.row.ticks, "difference": result.difference, "seconds": seconds}
+        rows.append(result.row._asdict() | own)
+    file.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1), encoding="utf-8")
 
 
 def main() -> int:
-    """Run what was asked for; 1 where jaxstage and C++ disagree."""
+    """Print the tables; 1 where jaxstage and C++ disagree."""
     options = _arguments()
     begin = time.perf_counter()
     js.configure(cores=2)
     if not options.gpu:
         jax.config.update("jax_platforms", "cpu")
-    if options.child:
-        memory.child(options.child)
-        return 0
     for name, text in machine().items():
         print(f"{name:10} {text}")
     if options.gpu:
@@ -66,11 +62,9 @@ def main() -> int:
     results = _against_c(options.quick)
     tables: list[Callable[[], str]] = [lambda: costs.everyday(options.quick)]
     if not options.quick:
-        tables += [
-            lambda: costs.sizes(1.0), lambda: costs.shares(3.0),
-            lambda: costs.gradient_costs(3.0),
-        ]  # fmt: skip
-    tables += [lambda: costs.memory_costs(options.quick, options.whole), lambda: costs.gpu(3.0)]
+        tables += [lambda: costs.sizes(1.0), lambda: costs.shares(3.0)]
+        tables += [lambda: costs.gradient_costs(3.0)]
+    tables += [lambda: memory.peaks(options.quick, options.whole), lambda: costs.gpu(3.0)]
     for text in tables:
         print(text(), flush=True)
     if options.json:

@@ -12,7 +12,7 @@ LAYERS = np.arange(4)[:, None]
 SMOOTH_SPEED, SMOOTH_SURFACE = 1e-3, 1e-3  # m/s, in place of sgn v and sgn s
 
 
-class Law(NamedTuple):
+class DfcmacLaw(NamedTuple):
     """Parameters of the DFCMAC loop, one number per run and axis."""
 
     slope: np.ndarray
@@ -33,12 +33,12 @@ class Law(NamedTuple):
     play: np.ndarray
 
 
-def _law(work: Work) -> Law:
+def _law(work: Work) -> DfcmacLaw:
     rows = parameter_rows(work)
-    return Law(*rows.reshape(len(rows) // 2, -1))
+    return DfcmacLaw(*rows.reshape(len(rows) // 2, -1))
 
 
-def _features(law: Law, error: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _features(law: DfcmacLaw, error: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Active cell of each layer and its strength, (4, runs x axes)."""
     z = np.clip(np.stack([error / law.error_width, rate / law.rate_width]) + 4.5, 0, 9)
     cell = np.minimum(z.astype(np.int32), 8)[:, None]
@@ -48,7 +48,7 @@ def _features(law: Law, error: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray
     return 9 * LAYERS + 3 * block[0] + block[1], strength
 
 
-def _limit(law: Law, velocity: np.ndarray) -> np.ndarray:
+def _limit(law: DfcmacLaw, velocity: np.ndarray) -> np.ndarray:
     fading = np.exp(-((velocity / law.stribeck) ** 2))
     return (law.coulomb + (law.static - law.coulomb) * fading) / law.mass
 
@@ -91,8 +91,7 @@ def scipy_rate(work: Work, duration: float) -> tuple[float, int]:
     """Control periods per second of solve_ivp (RK45), and its evaluations of the derivative.
 
     The continuous closed loop: the law acts all the time, without play; friction and switch are
-    smooth. (The
-    implicit solvers are slower by far: the law's cells make the derivative jump.)
+    smooth. (The implicit solvers are slower by far: the law's cells make the derivative jump.)
     """
     law, path = _law(work), path_rows(work)
 

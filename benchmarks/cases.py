@@ -87,9 +87,14 @@ def _spread(random: np.random.Generator, value: Any, lanes: int, dtype: str) -> 
 
 
 def work(
-    law: str, dtype: str, lanes: int, ticks: int, full: bool = False, lap_time: float = 1.0,
+    law: str,
+    dtype: str,
+    lanes: int,
+    ticks: int,
+    full: bool = False,
+    lap_time: float = 1.0,
     segment: int = 0,
-) -> Work:  # fmt: skip
+) -> Work:
     """`lanes` runs with gains and plant within 10 % of the published ones, on one path, as a scan.
 
     full: all default metrics instead of the tracking error alone.
@@ -125,16 +130,29 @@ def parameter_rows(work: Work) -> np.ndarray:
     if work.law == "dfcmac":
         ratio = g.receptive.spacing / g.receptive.width
         law = (
-            g.slope, g.rate, g.credit, g.switching_gain, g.error_width, g.rate_width, ratio, gain
-        )  # fmt: skip
+            g.slope,
+            g.rate,
+            g.credit,
+            g.switching_gain,
+            g.error_width,
+            g.rate_width,
+            ratio,
+            gain,
+        )
     else:
         reach = g.disturbance_bound + g.switching_gain
         drag, bias = g.nominal.damping / g.nominal.mass, g.nominal.load / g.nominal.mass
         law = (g.slope, reach, g.switch.width, gain, drag, bias)
     plant = (
-        p.force_constant, p.mass, p.damping + p.viscous, p.coulomb, p.static, p.stribeck, p.load,
+        p.force_constant,
+        p.mass,
+        p.damping + p.viscous,
+        p.coulomb,
+        p.static,
+        p.stribeck,
+        p.load,
         p.backlash,
-    )  # fmt: skip
+    )
     return np.concatenate([np.ascontiguousarray(x.T) for x in (*law, *plant)])
 
 

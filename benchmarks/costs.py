@@ -1,13 +1,13 @@
-"""Cost against size and length, parts, gradients, memory, everyday baselines, GPU."""
+"""Cost against size and length, shares of the time, gradients, everyday baselines, GPU."""
 
 import math
 
 import jax
 
-from . import gradients, memory, parts
+from . import gradients, time_shares
 from .baselines import numpy_rate, scipy_rate
 from .cases import work
-from .jax_side import batched, vmapped
+from .jax_runs import batched, vmapped
 from .tables import rate, table
 from .timing import first_calls, in_turn
 
@@ -34,12 +34,12 @@ def shares(budget: float, lanes: int = 64, ticks: int = 2000) -> str:
     """Where the time goes."""
     rows = []
     for dtype in ("float32", "float64"):
-        programs = parts.programs(dtype, lanes, ticks)
+        programs = time_shares.programs(dtype, lanes, ticks)
         times = in_turn(programs, first_calls(programs, 2), budget, rounds=5)
         whole = times["all"].cpu
         rows += [
             [f"{dtype} {name}", f"{1e9 * s / lanes / ticks:.0f}", f"{100 * s / whole:.0f} %"]
-            for name, s in (("everything", whole), *parts.shares(times).items())
+            for name, s in (("everything", whole), *time_shares.shares(times).items())
         ]
     note = (
         "vmap, ns of processor time per lane-step and share of a run with all metrics, by leaving\n"
@@ -60,29 +60,6 @@ def gradient_costs(budget: float, lanes: int = 64, ticks: int = 2000) -> str:
     head = ("float32", "CPU s", "x its forward", "comp. s")
     note = f"d ATE / d (8 gains) of {lanes} runs of {ticks} ticks; segments of {math.isqrt(ticks)}."
     return table("Gradients", head, rows, note)
-
-
-def memory_costs(quick: bool, whole: bool) -> str:
-    """Peak memory."""
-    jobs = [("rollouts", 10_000, 10_000, 1.0, 200)]
-    if not quick:
-        jobs += [("rollouts", 10_000, 100_000, 10.0, 200), ("gradient", 64, 100_000, 1.0, 100_000)]
-    rows, note = [], ""
-    for kind, lanes, ticks, lap_time, short in jobs:
-        done = ticks if whole else short
-        peak = memory.peak(kind, "float32", lanes, done, lap_time)
-        if peak is None:
-            return "\nPeak memory: not measured, this system has no /proc/self/clear_refs"
-        numbers = [f"{x:.0f}" for x in peak[:3]] + [f"{peak.seconds:.1f}"]
-        rows.append([f"{kind}, {lanes} runs of {ticks} ticks", *numbers, str(done)])
-    if not whole:
-        note = "\nWhere fewer ticks were run: a program without rows needs the same for any number."
-    head = ("dfcmac float32", "inputs MB", "1st call MB", "2nd call MB", "s", "ticks run")
-    text = (
-        "Peak above a process that has started JAX, each in its own process; the first call\n"
-        "compiles. Runs differ in gains and plant and share the path (a lap of all its ticks)."
-    )
-    return table("Peak memory", head, rows, text + note)
 
 
 def everyday(quick: bool) -> str:

@@ -1,6 +1,6 @@
 """``python -m benchmarks.gains``: single gains tuned on the systems that they come from.
 
-Each line is a `jaxstage tune` with its 100 held-out plants: figure before and after with interval,
+Each line is a `jaxstage tune` with its 100 held-out plants: metric before and after with interval,
 lost runs, energy, units and seconds. Minutes a line.
 """
 
@@ -18,7 +18,7 @@ from .timing import machine
 ROOT = Path(__file__).parents[1]
 
 
-class Row(NamedTuple):
+class TunedRow(NamedTuple):
     """What is tuned: a name for it, the loop, and further words of the command."""
 
     name: str
@@ -27,30 +27,30 @@ class Row(NamedTuple):
 
 
 ROWS = (
-    Row("c1", "dfcmac-circle", ("--gains", "c1")),
-    Row("r1", "dfcmac-circle", ("--gains", "r1")),
-    Row("sigma", "dfcmac-circle", ("--gains", "sigma")),
-    Row("eta", "dfcmac-circle", ("--gains", "eta")),
-    Row("all of it", "dfcmac-circle", ()),
-    Row("all of it", "cmac-circle", ()),
-    Row("all of it", "pi-circle", ()),
-    Row("cascade", "cascade-circle", ()),
-    Row("kappa", "smc-s7-implicit", ("--gains", "kappa")),
-    Row("lambda", "smc-s7-implicit", ("--gains", "lam")),
-    Row("beta", "smc-s7-implicit", ("--gains", "beta")),
-    Row("all of it", "smc-s7-implicit", ()),
-    Row("all, margin 0.25", "smc-s7-implicit", ("--margin", "0.25")),
-    Row("all of it", "asmc-floored-s7-implicit", ()),
-    Row("rules", "af-pid-ccc", ("--gains", "rules")),
-    Row("all but rules", "pid-ccc", ()),
-    Row("all of it", "af-pid-ccc", ()),
-    Row("all of it", "pd", ()),
-    Row("all of it", "asmc-mrac-caps", ()),
-    Row("cascade", "cascade", ()),
+    TunedRow("c1", "dfcmac-circle", ("--gains", "c1")),
+    TunedRow("r1", "dfcmac-circle", ("--gains", "r1")),
+    TunedRow("sigma", "dfcmac-circle", ("--gains", "sigma")),
+    TunedRow("eta", "dfcmac-circle", ("--gains", "eta")),
+    TunedRow("all of it", "dfcmac-circle", ()),
+    TunedRow("all of it", "cmac-circle", ()),
+    TunedRow("all of it", "pi-circle", ()),
+    TunedRow("cascade", "cascade-circle", ()),
+    TunedRow("kappa", "smc-s7-implicit", ("--gains", "kappa")),
+    TunedRow("lambda", "smc-s7-implicit", ("--gains", "lam")),
+    TunedRow("beta", "smc-s7-implicit", ("--gains", "beta")),
+    TunedRow("all of it", "smc-s7-implicit", ()),
+    TunedRow("all, margin 0.25", "smc-s7-implicit", ("--margin", "0.25")),
+    TunedRow("all of it", "asmc-floored-s7-implicit", ()),
+    TunedRow("rules", "af-pid-ccc", ("--gains", "rules")),
+    TunedRow("all but rules", "pid-ccc", ()),
+    TunedRow("all of it", "af-pid-ccc", ()),
+    TunedRow("all of it", "pd", ()),
+    TunedRow("all of it", "asmc-mrac-caps", ()),
+    TunedRow("cascade", "cascade", ()),
 )
 
 
-def tuned(row: Row, more: list[str]) -> dict[str, Any]:
+def tuned(row: TunedRow, more: list[str]) -> dict[str, Any]:
     """The JSON object of a command; what it refuses is in it, too."""
     program = "from tuning.app.main import main; main()"
     command = [sys.executable, "-c", program, "tune", row.loop, *row.words, *more, "--json"]
@@ -63,20 +63,18 @@ def tuned(row: Row, more: list[str]) -> dict[str, Any]:
     return json.loads(done.stdout)
 
 
-def cells(row: Row, found: dict[str, Any]) -> list[str]:
+def cells(row: TunedRow, result: dict[str, Any]) -> list[str]:
     """A line of the table."""
-    held, energy = found["held_out"], found["held_out"]["figures"].get("energy_J", {})
+    held, energy = result["held_out"], result["held_out"]["figures"].get("energy_J", {})
     change = held["change"] or {}
     saved = energy and 100 * (energy["after"] / energy["before"] - 1)
     interval = [change.get(name) for name in ("value", "low", "high")]
     told = " ".join("-" if x is None else f"{100 * x:.1f}" for x in interval)
     before, after = (f"{held[name]['value']:.4g}" for name in ("before", "after"))
-    return [
-        row.name, row.loop, found["method"], str(found["n"]), f"{found['units']:.0f}",
-        f"{found['seconds']:.0f}", before, after, told,
-        f"{saved:+.2f}" if energy else "", str(held["lost"]),
-        "yes" if found["accepted"] else "no",
-    ]  # fmt: skip
+    cost = [str(result["n"]), f"{result['units']:.0f}", f"{result['seconds']:.0f}"]
+    outcome = [f"{saved:+.2f}" if energy else "", str(held["lost"])]
+    accepted = "yes" if result["accepted"] else "no"
+    return [row.name, row.loop, result["method"], *cost, before, after, told, *outcome, accepted]
 
 
 def main() -> None:
@@ -90,16 +88,14 @@ def main() -> None:
     for row in ROWS:
         if options.only and row.name not in options.only:
             continue
-        found = tuned(row, more)
-        kept.append({"row": row._asdict(), "found": found})
-        lines.append(cells(row, found))
+        result = tuned(row, more)
+        kept.append({"row": row._asdict(), "found": result})
+        lines.append(cells(row, result))
         print("  ".join(lines[-1]), flush=True)
         if options.json:
             options.json.write_text(json.dumps(kept, indent=1), encoding="utf-8")
-    head = [
-        "gain", "loop", "method", "n", "units", "s", "before um", "after um", "change % (95 %)",
-        "energy %", "lost", "accepted",
-    ]  # fmt: skip
+    head = ["gain", "loop", "method", "n", "units", "s", "before um", "after um"]
+    head += ["change % (95 %)", "energy %", "lost", "accepted"]
     print(table("held-out plants", head, lines))
 
 

@@ -30,9 +30,13 @@ def _programs(case: js.Case) -> dict[str, Callable[[], Any]]:
 
     def along(gains: Any) -> Any:
         ones = jax.tree.map(
-            lambda x: jnp.ones_like(x) if jnp.issubdtype(x.dtype, jnp.floating)
-            else jnp.zeros(x.shape, jax.dtypes.float0), gains,
-        )  # fmt: skip
+            lambda x: (
+                jnp.ones_like(x)
+                if jnp.issubdtype(x.dtype, jnp.floating)
+                else jnp.zeros(x.shape, jax.dtypes.float0)
+            ),
+            gains,
+        )
         return jax.jvp(error(js.compiled), (gains,), (ones,))[1]
 
     chosen = {
@@ -60,10 +64,12 @@ def row(name: str, case: js.Case) -> list[str]:
         " ".join(str(r.nodes) for r in reports),
         " ".join(f"{r.graph_seconds:.2f}" for r in reports),
         " ".join("cached" if r.cached else f"{r.seconds:.1f}" for r in reports),
-        rate(steps / forward), rate(steps / times["scan"].cpu),
-        f"{times['scan'].cpu / forward:.0f}", f"{times['tangent'].cpu / forward:.1f}",
+        rate(steps / forward),
+        rate(steps / times["scan"].cpu),
+        f"{times['scan'].cpu / forward:.0f}",
+        f"{times['tangent'].cpu / forward:.1f}",
         f"{times['reverse'].cpu / forward:.1f}",
-    ]  # fmt: skip
+    ]
 
 
 def main() -> None:
@@ -80,8 +86,16 @@ def main() -> None:
             rows.append(row(name, case))
             print(" | ".join(rows[-1]), flush=True)
     head = (
-        "loop", "operations", "graph s", "C++ s", "kernel", "scan", "x", "tangent", "reverse",
-    )  # fmt: skip
+        "loop",
+        "operations",
+        "graph s",
+        "C++ s",
+        "kernel",
+        "scan",
+        "x",
+        "tangent",
+        "reverse",
+    )
     note = (
         f"float64, {LANES} runs of {TICKS} periods, tracking error. Operations, seconds: of the\n"
         "kernels of a run, a tangent and reverse mode by all gains and the scenario.\n"

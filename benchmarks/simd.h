@@ -78,9 +78,9 @@ INLINE vec root(vec x) {
 }
 #else
 INLINE bool any(mask a) {
-  whole found = 0;
-  for (int i = 0; i < LANES; i++) found |= a[i];
-  return found != 0;
+  whole set = 0;
+  for (int i = 0; i < LANES; i++) set |= a[i];
+  return set != 0;
 }
 INLINE vec larger(vec a, vec b) { return a > b ? a : b; }
 INLINE vec smaller(vec a, vec b) { return a < b ? a : b; }

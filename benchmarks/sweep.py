@@ -19,7 +19,7 @@ from tuning.sweeps import store
 from tuning.sweeps.configuration import SweepRequest, batch_of, build, configure_sweep, drawn_values
 from tuning.sweeps.sweep import sweep
 
-from .memory import _forget_peak, _status
+from .memory import forget_peak, status
 from .tables import rate, ratio, table
 from .timing import machine
 
@@ -71,9 +71,13 @@ def throughput(loop: str, chunks: int, rounds: int) -> list[str]:
     def engine() -> None:
         for _ in range(chunks):
             run = js.rollouts(
-                case.loop, batch.gains, batch.scenario, batch.path, case.window.ticks,
+                case.loop,
+                batch.gains,
+                batch.scenario,
+                batch.path,
+                case.window.ticks,
                 in_axes=batch.in_axes,
-            )  # fmt: skip
+            )
             jax.block_until_ready(run.report)
 
     engine()
@@ -81,22 +85,25 @@ def throughput(loop: str, chunks: int, rounds: int) -> list[str]:
     bare, whole = (Spent(*map(min, zip(*times, strict=True))) for times in zip(*pairs, strict=True))
     steps = CHUNK * chunks * case.window.ticks
     return [
-        loop, rate(steps / bare.wall), rate(steps / whole.wall), ratio(bare.wall / whole.wall),
+        loop,
+        rate(steps / bare.wall),
+        rate(steps / whole.wall),
+        ratio(bare.wall / whole.wall),
         ratio(bare.cpu / whole.cpu),
-    ]  # fmt: skip
+    ]
 
 
 def growth(loop: str, runs: int, timing: tuple[str, ...]) -> None:
     """In a process of its own: seconds and peak memory of a sweep of so many runs."""
     size = build(_request((loop,), runs, timing)).size
     _swept(_request((loop,), size, timing))  # the same program, compiled
-    base = _status("VmRSS")
-    _forget_peak()
+    base = status("VmRSS")
+    forget_peak()
     begin = time.perf_counter()
     text = _request((loop,), runs, timing)
     configured = time.perf_counter() - begin
     seconds = _swept(text).wall
-    print(json.dumps([configured, seconds, _status("VmHWM") - base]))
+    print(json.dumps([configured, seconds, status("VmHWM") - base]))
 
 
 def _grown(loop: str, runs: int, timing: tuple[str, ...]) -> list[str]:
@@ -105,12 +112,17 @@ def _grown(loop: str, runs: int, timing: tuple[str, ...]) -> list[str]:
     answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     configured, seconds, peak = json.loads(answer.stdout.splitlines()[-1])
     each = (configured + seconds) / runs
-    return [str(runs), f"{configured:.2f} s", f"{seconds:.2f} s", f"{each * 1e6:.0f} us",
-            f"{peak:.0f} MB"]  # fmt: skip
+    return [
+        str(runs),
+        f"{configured:.2f} s",
+        f"{seconds:.2f} s",
+        f"{each * 1e6:.0f} us",
+        f"{peak:.0f} MB",
+    ]
 
 
 def main() -> None:
-    """Print the tables that were asked for."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.sweep", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a minute: fewer and shorter")
     parser.add_argument(
@@ -132,19 +144,27 @@ def main() -> None:
         for name in (("cascade-circle",) if options.quick else ("cascade-circle", "dfcmac-circle"))
     ]
     head = ("loop", "engine", "sweep", "wall", "processor")
-    print(table(
-        f"Lane-steps per second, chunks of {CHUNK} runs of 2 laps of 1 s, all default metrics, "
-        "double precision", head, rows,
-        "engine: rollouts alone; sweep: draws, checks, Parquet too; then shares of the engine's",
-    ))  # fmt: skip
+    print(
+        table(
+            f"Lane-steps per second, chunks of {CHUNK} runs of 2 laps of 1 s, all default metrics, "
+            "double precision",
+            head,
+            rows,
+            "engine: rollouts alone; sweep: draws, checks, Parquet too; shares of the engine's",
+        )
+    )
     sizes = (1000, 10_000) if options.quick else (1000, 10_000, 100_000)
     for ticks, timing in ((200, SHORT), (10_000, WHOLE))[: 2 if options.large else 1]:
         rows = [_grown("pi-circle", runs, timing) for runs in sizes]
         head = ("plants", "configured", "swept", "a plant", "peak")
-        print(table(
-            f"How a sweep grows: pi-circle, {ticks} ticks a run", head, rows,
-            "peak: memory above that of the process after a first sweep",
-        ))  # fmt: skip
+        print(
+            table(
+                f"How a sweep grows: pi-circle, {ticks} ticks a run",
+                head,
+                rows,
+                "peak: memory above that of the process after a first sweep",
+            )
+        )
     if options.large:
         loops = ("cmac-circle", "dfcmac-circle", "cascade-circle")
         spent = _swept(_request(loops, 10_000, LAP))

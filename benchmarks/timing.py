@@ -45,9 +45,11 @@ def first_calls(programs: Mapping[str, Program], workers: int = 1) -> dict[str, 
 
 
 def in_turn(
-    programs: Mapping[str, Program], first: Mapping[str, tuple[float, Any]], budget: float,
+    programs: Mapping[str, Program],
+    first: Mapping[str, tuple[float, Any]],
+    budget: float,
     rounds: int = 3,
-) -> dict[str, Times]:  # fmt: skip
+) -> dict[str, Times]:
     """Time all programs in turn: at least `rounds` rounds, more while `budget` seconds last.
 
     What takes less than 20 ms runs up to five times in its turn.

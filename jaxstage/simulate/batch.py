@@ -104,7 +104,7 @@ def rollouts(
         loop: What is fixed.
         gains: What is tuned.
         scenario: What is uncertain.
-        path: What is asked, the parameters of ``loop.reference``.
+        path: What is commanded, the parameters of ``loop.reference``.
         ticks: Control periods.
         in_axes: (gains, scenario, path), each 0, None or a tree of these down to any depth, as for
             ``jax.vmap``: 0 where leaves have a leading batch axis.

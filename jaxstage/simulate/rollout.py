@@ -45,7 +45,7 @@ def simulate(
         loop: What is fixed.
         gains: What is tuned, data of ``loop.controller``.
         scenario: What is uncertain.
-        path: What is asked, the parameters of ``loop.reference``.
+        path: What is commanded, the parameters of ``loop.reference``.
         ticks: Control periods of ``loop.dt`` s.
         carry: Where an earlier run stopped; the two together equal one long run.
 

@@ -5,9 +5,14 @@ from pathlib import Path
 
 
 def write_whole(file: Path, data: bytes) -> None:
-    """Write a file whole or not at all, also when the power fails.
+    """Write a file atomically: whole or not at all, also when the power fails.
 
-    Raises OSError that names the file; what stood there before is then as it was.
+    Args:
+        file: Where; its folder exists.
+        data: What it is to hold.
+
+    Raises:
+        OSError: Names the file; what stood there before is then as it was.
     """
     partial = file.with_name(file.name + ".partial")
     try:

@@ -1,4 +1,7 @@
-"""How JAX runs. Call `configure` before the first array is made; importing changes nothing."""
+"""How JAX runs: precision, devices, compilation cache. Importing changes nothing.
+
+Call `configure` before the first array exists.
+"""
 
 import gc
 import os
@@ -10,7 +13,7 @@ from pathlib import Path
 
 import jax
 
-#: objects made between two rounds of Python's garbage collector, and rounds between longer ones
+#: new objects between two rounds of Python's garbage collector, and rounds between longer ones
 COLLECTED = (100_000, 20, 100)
 
 
@@ -19,14 +22,20 @@ def configure(
 ) -> None:
     """Set precision, XLA devices and compilation cache for this process.
 
-    precision: "double" (64 bit) or "single". cores: XLA host devices, one per core; None leaves
-    JAX's choice. cache: folder that keeps compiled programs for the next start, "default" is
-    ``$XDG_CACHE_HOME/jaxstage``, None leaves JAX's setting. (Where XLA then logs that a cached
-    program was built for another machine it compares tuning flags; ``TF_CPP_MIN_LOG_LEVEL=3`` in
-    the environment silences it, as the command line does.) A folder that cannot be written is
-    warned of and left out. Python's garbage collector is asked to run seldom (`collect_seldom`).
-    Raises ValueError for a bad value, RuntimeError when JAX has already started with another number
-    of devices.
+    Python's garbage collector is told to run seldom, see `collect_seldom`. Where XLA logs that a
+    cached program was built for another machine it compares tuning flags; ``TF_CPP_MIN_LOG_LEVEL=3``
+    in the environment silences it, as the command line does.
+
+    Args:
+        precision: ``double`` (64 bit) or ``single``.
+        cores: XLA host devices, one per core; None leaves JAX's choice.
+        cache: Folder that keeps compiled programs for the next start; ``default`` is
+            ``$XDG_CACHE_HOME/jaxstage``, None leaves JAX's setting. A folder that cannot be written
+            is warned of and left out.
+
+    Raises:
+        ValueError: For a bad value.
+        RuntimeError: When JAX has already started with another number of devices.
     """
     if precision not in ("single", "double"):
         raise ValueError(f"precision = '{precision}': must be single or double")
@@ -38,7 +47,7 @@ def configure(
         except RuntimeError:
             raise RuntimeError(
                 f"cores = {cores}: JAX has already started with {jax.local_device_count()}; call "
-                "configure before the first array is made, in a new process"
+                "configure before the first array exists, in a new process"
             ) from None
     jax.config.update("jax_enable_x64", precision == "double")
     collect_seldom()

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from benchmarks.against_cxx import AGREE
 from benchmarks.baselines import numpy_rollout
-from benchmarks.build import Kernel, Variant, compiler, widths
 from benchmarks.cases import LAWS, work
-from benchmarks.compare import AGREE
-from benchmarks.jax_side import batched, tracking_error
+from benchmarks.cxx_build import Kernel, Variant, compiler, widths
+from benchmarks.jax_runs import batched, tracking_error
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no g++ to build the kernels with")
 LANES, TICKS = 21, 300  # not a multiple of any vector; long enough to leave the first CMAC cell

@@ -1,4 +1,4 @@
-"""From C++ text to a function that XLA can call: built once, kept in the project's cache."""
+"""C++ toolchain: from a translation unit to a function that XLA can call, built once and cached."""
 
 import ctypes
 import functools
@@ -20,17 +20,21 @@ from jaxstage.system.runtime import cache_folder
 
 HEADER = Path(__file__).parents[1] / "cxx" / "simd.h"
 #: no fast-math: NaN, infinity and the order of operations keep their meaning
-FLAGS = (
-    "-std=c++17", "-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math",
-    "-ffp-contract=fast", "-w", "-shared", "-fPIC",
-)  # fmt: skip
+FLAGS = tuple(
+    "-std=c++17 -O2 -march=native -fno-math-errno -fno-trapping-math -ffp-contract=fast -w -shared "
+    "-fPIC".split()
+)
 COMPILERS = ("g++", "clang++", "c++")
 
 
-class Built(NamedTuple):
-    """A kernel that is ready: the name that XLA knows, and how it came about.
+class KernelLibrary(NamedTuple):
+    """A kernel that is loaded.
 
-    seconds: of the compiler; 0 where the cache had it. bytes: of the library.
+    Attributes:
+        target: The name under which XLA knows it.
+        seconds: Time of the compiler in s, 0 where the cache had it.
+        bytes: Size of the library.
+        cached: Whether the cache had it.
     """
 
     target: str
@@ -41,10 +45,10 @@ class Built(NamedTuple):
 
 @functools.cache
 def compiler() -> str | None:
-    """The C++ compiler: that of the environment variable CXX, else the first one found."""
-    wanted = os.environ.get("CXX")
-    names = (wanted,) if wanted else COMPILERS
-    return next((found for name in names if (found := shutil.which(name))), None)
+    """The C++ compiler: that of the environment variable CXX, else the first of `COMPILERS`."""
+    chosen = os.environ.get("CXX")
+    names = (chosen,) if chosen else COMPILERS
+    return next((file for name in names if (file := shutil.which(name))), None)
 
 
 @functools.cache
@@ -89,10 +93,17 @@ def library_file(text: str) -> Path:
 
 
 @functools.cache
-def build(text: str) -> Built:
+def build(text: str) -> KernelLibrary:
     """Compile a kernel, or take it from the cache, and make it known to XLA.
 
-    Raises LoweringError without a compiler, when it fails, and without space for the library.
+    Args:
+        text: A translation unit that defines ``kernel``.
+
+    Returns:
+        The name that XLA knows it by, and how it came about.
+
+    Raises:
+        LoweringError: Without a compiler, when it fails, and without space for the library.
     """
     program = compiler()
     if program is None:
@@ -112,7 +123,7 @@ def build(text: str) -> Built:
     target = f"jaxstage_{file.stem}"
     jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(library.kernel), platform="cpu")
     seconds = 0.0 if cached else time.perf_counter() - begin
-    return Built(target, seconds, file.stat().st_size, cached)
+    return KernelLibrary(target, seconds, file.stat().st_size, cached)
 
 
 def _opened(file: Path) -> ctypes.CDLL | None:
@@ -129,18 +140,18 @@ def _opened(file: Path) -> ctypes.CDLL | None:
 def _compile(program: str, text: str, file: Path) -> None:
     """Under another name first: a library is there whole or not at all."""
     with tempfile.TemporaryDirectory(dir=file.parent) as folder:
-        source, made = Path(folder) / "kernel.cc", Path(folder) / "kernel.so"
+        source, library = Path(folder) / "kernel.cc", Path(folder) / "kernel.so"
         source.write_text(text, encoding="utf-8")
         includes = [f"-I{HEADER.parent}", f"-I{jax.ffi.include_dir()}"]
         libraries = ["-lmvec", "-lm"] if platform.machine() == "x86_64" else ["-lm"]
-        command = [program, *FLAGS, *includes, str(source), "-o", str(made)]
+        command = [program, *FLAGS, *includes, str(source), "-o", str(library)]
         done = _run([*command, *libraries])
         if done.returncode and "-lmvec" in libraries:
             done = _run([*command, "-lm"])
         if done.returncode:
             first = next((x for x in done.stderr.splitlines() if "error" in x), "no message")
             raise LoweringError(f"{Path(program).name} failed: {first.strip()[:200]}")
-        os.replace(made, file)
+        os.replace(library, file)
 
 
 def _run(command: list[str]) -> subprocess.CompletedProcess[str]:

@@ -16,9 +16,15 @@ def batched(work: Work, tile: int, devices: int) -> Callable[[], Any]:
 
     def program() -> Any:
         return rollouts(
-            work.loop, work.gains, work.scenario, work.path, work.ticks,
-            in_axes=SHARED_PATH, tile=tile, devices=devices,
-        ).report  # fmt: skip
+            work.loop,
+            work.gains,
+            work.scenario,
+            work.path,
+            work.ticks,
+            in_axes=SHARED_PATH,
+            tile=tile,
+            devices=devices,
+        ).report
 
     return program
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from jaxstage.simulate.tiles import DEFAULT
 
-from .build import Kernel, Variant, build_all, widths
 from .cases import LAWS, Work, compiled, work
-from .jax_side import batched, tracking_error, vmapped
+from .cxx_build import Kernel, Variant, build_all, widths
+from .jax_runs import batched, tracking_error, vmapped
 from .tables import rate, ratio, table
 from .timing import Times, first_calls, in_turn
 
@@ -103,7 +103,7 @@ def difference(results: dict[str, tuple[float, Any]]) -> float:
 
 
 class Result(NamedTuple):
-    """What was found for a row."""
+    """Times of a row, and how far the results are apart."""
 
     row: Row
     times: dict[str, Times]
@@ -127,24 +127,23 @@ def _cells(result: Result) -> list[str]:
     names = ("engine", "rollouts", "vmap")
     one = {n: steps / t[n].cpu for n in ("C++", *names) if n in t}
     two = {n: steps / t[n].best for n in ("C++ 2", "engine 2", "rollouts 2") if n in t}
-    found = f"{result.difference:.0e}" + ("" if result.agrees else " DIFFERS")
+    apart = f"{result.difference:.0e}" + ("" if result.agrees else " DIFFERS")
     return [
         f"{row.law} {row.dtype} {'all' if row.full else 'ATE'} {row.lanes} x {row.ticks}",
         *(rate(one[n]) if n in one else "" for n in ("C++", *names)),
         *(ratio(one[n] / one["C++"]) if n in one else "" for n in names),
         *(rate(two[n]) if n in two else "" for n in ("C++ 2", "engine 2", "rollouts 2")),
         f"{t['engine'].best / t['engine 2'].best:.2f}" if two else "",
-        found, *(f"{t[n].compiling:.1f}" if n in t else "" for n in names),
-    ]  # fmt: skip
+        apart,
+        *(f"{t[n].compiling:.1f}" if n in t else "" for n in names),
+    ]
 
 
 def report(results: list[Result]) -> str:
     """The main table."""
-    head = (
-        "runs", "C++", "engine", "rollouts", "vmap", "eng./C++", "roll./C++", "vmap/C++",
-        "C++ 2 thr.", "eng. 2 dev.", "roll. 2 dev.", "eng. x", "ATE diff.",
-        "comp. s", "comp. s", "comp. s",
-    )  # fmt: skip
+    one = ["C++", "engine", "rollouts", "vmap", "eng./C++", "roll./C++", "vmap/C++"]
+    two = ["C++ 2 thr.", "eng. 2 dev.", "roll. 2 dev.", "eng. x"]
+    head = ["runs", *one, *two, "ATE diff.", *["comp. s"] * 3]
     note = (
         "lane-steps per processor second (one core), for two threads or devices per second of\n"
         "wall time; runs taken in turn, calls as a user makes them (checks of the input\n"

@@ -53,9 +53,11 @@ def library(single: bool, variant: Variant) -> ctypes.CDLL:
     """The kernels in one precision; compiled once per source and machine."""
     real = "float" if single else "double"
     defines = [
-        f"-DREAL={real}", f"-DBYTES={variant.width}", f"-DBLOCK={variant.block}",
+        f"-DREAL={real}",
+        f"-DBYTES={variant.width}",
+        f"-DBLOCK={variant.block}",
         f"-DSKIP={variant.skip}",
-    ]  # fmt: skip
+    ]
     source = "".join((HERE / name).read_text() for name in ("kernels.cc", "simd.h"))
     text = "\n".join((source, *FLAGS, *defines, platform.node(), platform.processor()))
     folder = Path(tempfile.gettempdir()) / f"jaxstage-speed-{os.getuid()}"
@@ -94,7 +96,13 @@ class Kernel:
     def __call__(self) -> np.ndarray:
         rows, path, ate = (ctypes.c_void_p(x.ctypes.data) for x in (self.rows, self.path, self.ate))
         self.kernels.run(
-            self.law, self.threads, rows, path, ctypes.c_int64(self.ticks),
-            ctypes.c_int64(self.ate.size), ctypes.c_double(DT), ate,
-        )  # fmt: skip
+            self.law,
+            self.threads,
+            rows,
+            path,
+            ctypes.c_int64(self.ticks),
+            ctypes.c_int64(self.ate.size),
+            ctypes.c_double(DT),
+            ate,
+        )
         return self.ate[: self.lanes].copy()

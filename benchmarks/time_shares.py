@@ -13,7 +13,7 @@ from jaxstage.simulate.rollout import start
 from jaxstage.simulate.tick import tick
 
 from .cases import Work, work
-from .jax_side import vmapped
+from .jax_runs import vmapped
 from .timing import Times
 
 
