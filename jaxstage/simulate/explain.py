@@ -46,7 +46,7 @@ def _line(report: KernelReport) -> str:
         return f"{report.what:9} lax.scan, because of: {report.reason}"
     how = "from the cache" if report.cached else f"compiled in {report.seconds:.1f} s"
     return (
-        f"{report.what:9} {report.nodes} operations a tick, traced in {report.graph_seconds:.1f} s; "
+        f"{report.what:9} {report.nodes} operations a tick, read in {report.graph_seconds:.1f} s; "
         f"{report.bytes / 1024:.0f} kB, {how}"
     )
 

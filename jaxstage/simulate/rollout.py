@@ -277,7 +277,7 @@ def report(loop: Loop, carry: Carry) -> Any:
     return jax.tree.map(partial(_blank, ~lost(carry)), loop.metric.finish(carry.metric))
 
 
-def replay(metric: Metric, rows: Sample, dt: float) -> tuple[Any, Any]:
+def replay(metric: Metric[Any, Any], rows: Sample, dt: float) -> tuple[Any, Any]:
     """Evaluate a metric on recorded samples.
 
     Args:

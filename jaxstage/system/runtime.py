@@ -23,8 +23,8 @@ def configure(
     """Set precision, XLA devices and compilation cache for this process.
 
     Python's garbage collector is told to run seldom, see `collect_seldom`. Where XLA logs that a
-    cached program was built for another machine it compares tuning flags; ``TF_CPP_MIN_LOG_LEVEL=3``
-    in the environment silences it, as the command line does.
+    cached program was built for another machine it compares tuning flags; the environment variable
+    ``TF_CPP_MIN_LOG_LEVEL=3`` silences it, as the command line does.
 
     Args:
         precision: ``double`` (64 bit) or ``single``.

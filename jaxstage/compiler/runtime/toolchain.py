@@ -1,4 +1,4 @@
-"""C++ toolchain: from a translation unit to a function that XLA can call, built once and cached."""
+"""C++ toolchain: from a translation unit to a function that XLA can call; built once, cached."""
 
 import ctypes
 import functools
