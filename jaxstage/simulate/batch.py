@@ -22,7 +22,7 @@ from jax.sharding import Mesh, PartitionSpec
 
 from jaxstage.compiler.runtime.api import refusal
 from jaxstage.compiler.runtime.fallback import fall_back
-from jaxstage.compiler.runtime.launch import MANY
+from jaxstage.compiler.runtime.packing import MANY
 from jaxstage.model.blocks import Loop
 from jaxstage.model.fields import replace
 from jaxstage.model.signals import Carry, Run, Scenario

@@ -25,7 +25,7 @@ from jaxstage.compiler.runtime.jax_primitives import (
     owned,
     rollout_p,
 )
-from jaxstage.compiler.runtime.launch import RunBatch, vectors
+from jaxstage.compiler.runtime.packing import RunBatch, vectors
 from jaxstage.compiler.runtime.toolchain import build, compiler
 
 

@@ -37,7 +37,7 @@ from jaxstage.compiler.frontend.step_program import (
 from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.runtime import launch
 from jaxstage.compiler.runtime.fallback import fall_back
-from jaxstage.compiler.runtime.launch import RunBatch
+from jaxstage.compiler.runtime.packing import RunBatch
 from jaxstage.compiler.runtime.toolchain import build
 
 rollout_p = Primitive("jaxstage_rollout")
