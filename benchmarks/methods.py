@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import jaxstage as js
-from tuning.tuner.problem.objective import Term
+from tuning.tuner.problem.objective import Objective, Term
 from tuning.tuner.problem.problem import Problem, evaluate, make_problem
 from tuning.tuner.problem.run_group import make_group
 from tuning.tuner.problem.search_space import Search, search_space
@@ -105,13 +105,15 @@ def compare(
 ) -> dict[str, Any]:
     """All methods on all seeds; without the ``others`` only CMA-ES and the gradient method."""
     case = stage(duration)
-    problem = make_problem(search_space(case, searches(few)), (training(case, 0, runs),), TERMS)
-    own, needs = (levenberg_marquardt(), "curvatures") if few else (lbfgs(), "slopes")
+    problem = make_problem(
+        search_space(case, searches(few)), (training(case, 0, runs),), Objective(TERMS)
+    )
+    own, needs = (levenberg_marquardt(), "gauss_newton") if few else (lbfgs(), "gradient")
     cost_model = measure_cost_model(problem, needs)
     print(f"n = {problem.space.size}, {cost_model}", flush=True)
     if few and others:
-        gradient = measure_cost_model(problem, "slopes").gradient
-        cost_model = CostModel(gradient, cost_model.curvature, cost_model.simulation_s)
+        gradient = measure_cost_model(problem, "gradient").gradient
+        cost_model = CostModel(gradient, cost_model.gauss_newton, cost_model.simulation_s)
     share = 3 if few else 10
     methods: dict[str, Callable[[], Any]] = {
         own.name: lambda: own,

@@ -31,7 +31,7 @@ from jaxstage import plot
 from jaxstage.plot import tuning as pictures
 from tuning.tuner.baselines import convergence_curve
 from tuning.tuner.pictures import simulate_before_after
-from tuning.tuner.problem.objective import Term
+from tuning.tuner.problem.objective import Objective, Term
 from tuning.tuner.problem.problem import evaluate, gauss_newton_model, make_problem
 from tuning.tuner.problem.run_group import make_group
 from tuning.tuner.problem.search_space import Search, default_searches, search_space
@@ -64,7 +64,7 @@ group = make_group("circle", case, plants, np.arange(PLANTS))
 boxes = [one for one in default_searches(case) if one.name.rpartition(".")[2] in GAINS]
 searched = search_space(case, [Search(b.name, b.low, b.high, tied=True) for b in boxes])
 terms = (Term("contour_rms_um"), Term("command_change_rms_A", 0.1))
-problem = make_problem(searched, (group,), terms)
+problem = make_problem(searched, (group,), Objective(terms))
 for entry in searched.entries:
     print(f"{entry.path:28s} {entry.before[0]:g} {entry.unit}, {entry.low[0]:g}..{entry.high[0]:g}")
 
@@ -118,9 +118,9 @@ ax.legend()
 # %%
 steps = []
 tuned = tune(problem, levenberg_marquardt(), budget=BUDGET, watch=steps.append)
-print(f"a derivative in both gains: {tuned.cost_model.curvature:.0f} units")
+print(f"a derivative in both gains: {tuned.cost_model.gauss_newton:.0f} simulations")
 for step in steps[:: max(1, len(steps) // 8)]:
-    print(f"{step.simulations:5.1f} units: objective {step.best:.4f}")
+    print(f"{step.simulations:5.1f} simulations: objective {step.best:.4f}")
 print(f"{tuned.before:.3f} -> {tuned.after:.4f}, {tuned.ended}")
 
 

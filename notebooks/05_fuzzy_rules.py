@@ -30,7 +30,7 @@ from jaxstage import plot
 from jaxstage.controllers.fuzzy_rules import fuzzy_laws
 from jaxstage.plot import tuning as pictures
 from tuning.tuner.pictures import rules_text, simulate_before_after
-from tuning.tuner.problem.objective import Term
+from tuning.tuner.problem.objective import Objective, Term
 from tuning.tuner.problem.problem import make_problem
 from tuning.tuner.problem.run_group import make_group
 from tuning.tuner.problem.search_space import Search, search_space
@@ -82,7 +82,7 @@ plants = draw(space(case, study_spreads(case.name), ()), "sobol", 0, PLANTS, 0, 
 group = make_group("helix", case, plants, np.arange(PLANTS))
 searched = search_space(case, [Search("rules")])
 terms = (Term("contour_rms_um"), Term("command_change_rms_A", 0.1))
-problem = make_problem(searched, (group,), terms)
+problem = make_problem(searched, (group,), Objective(terms))
 tuned = tune(problem, METHOD, budget=BUDGET)
 print(f"{searched.size} rules: objective {tuned.before:.3f} -> {tuned.after:.4f} ({tuned.ended})")
 

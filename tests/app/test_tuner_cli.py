@@ -274,9 +274,9 @@ def step(now):
 plan = configuration.build((folder / "tune.toml").read_text())
 groups = configuration.groups_of(plan, configuration.runs_of(plan, "train"))
 problem = configuration.problem_of(plan, groups)
-watch = session.Watch(step, lambda text: None, other_plants=False)
+watch = session.Observer(step, lambda text: None, other_plants=False)
 (only,) = session.train_rounds(plan, problem, folder, watch)
-print(only.tuned.z.tobytes().hex(), only.tuned.units)
+print(only.tuned.z.tobytes().hex(), only.tuned.simulations)
 """
 
 
@@ -329,7 +329,7 @@ WRONG = {
     "gains file": (["pi-circle", "--gains", "no.toml"], "no.toml: no such file"),
     "metric": (
         ["pi-circle", "--objective", "contour_rmz_um"],
-        "unknown figure 'contour_rmz_um'; did you mean 'contour_rms_um'",
+        "unknown metric 'contour_rmz_um'; did you mean 'contour_rms_um'",
     ),
     "goal": (
         ["pi-circle", "--goal", "contour_mx_um < 3"],
@@ -342,10 +342,11 @@ WRONG = {
     "method": (["pi-circle", "--method", "cmaa"], "--method cmaa; did you mean 'cma'"),
     "baseline": (["pi-circle", "--baseline", "cma,sgd"], "--baseline sgd"),
     "twice": (["pi-circle", "--baseline", "cma,cma"], "a method stands twice"),
-    "budget": (["pi-circle", "--budget", "0"], "--budget 0: must be 1..1e6 units"),
+    "budget": (["pi-circle", "--budget", "0"], "--budget 0: must be 1..1e6 simulations"),
     "first step": (
         ["pi-circle", "--budget", "20", "--worst-case", "1"],
-        "--budget 20: must be 68..1e6 units for a first step with 4 numbers, --starts 2, 2 rounds",
+        "--budget 20: must be 68..1e6 simulations for a first step with 4 numbers, --starts 2, 2 "
+        "rounds",
     ),
     "starts": (["pi-circle", "--starts", "0"], "--starts 0: must be 1..16"),
     "margin": (["pi-circle", "--margin", "1"], "--margin 1: must be in 0..1"),

@@ -13,7 +13,7 @@ from jaxstage.metrics import record, selected, together
 from jaxstage.studies import with_metric
 from jaxstage.studies.case import scored
 from tuning.tuner.problem.gradient_check import compare_slopes, gradient_check
-from tuning.tuner.problem.objective import LOST, Term, cvar, mean, parse_goals, worst
+from tuning.tuner.problem.objective import LOST, Objective, Term, cvar, mean, parse_goals, worst
 from tuning.tuner.problem.problem import (
     evaluate,
     gauss_newton_model,
@@ -47,7 +47,7 @@ from tuning.uncertainty.uncertain_space import draw, space, study_spreads
 pytestmark = pytest.mark.long
 
 TICKS, RUNS = 300, 3
-COST_MODEL = CostModel(gradient=4.0, curvature=5.0, simulation_s=1e-3)
+COST_MODEL = CostModel(gradient=4.0, gauss_newton=5.0, simulation_s=1e-3)
 TERMS = (Term("contour_rms_um"), Term("energy_copper_J", 0.1), Term("command_change_rms_A", 0.1))
 
 
@@ -71,7 +71,7 @@ def searched():
 
 @functools.cache
 def problem():
-    return make_problem(searched(), (group(0.25),), TERMS, width=4)
+    return make_problem(searched(), (group(0.25),), Objective(TERMS), width=4)
 
 
 Z = np.array([0.3, -0.2, 0.1])
@@ -143,7 +143,7 @@ def test_a_smooth_command_is_not_the_price_of_accuracy():
         columns = {**before.columns, "command_change_rms_A": change}
         found[share] = scales_of(problem(), before._replace(columns=columns))
     np.testing.assert_allclose(found[0.001] / found[0.1], [1, 1, 0.02 / 0.1], rtol=1e-12)
-    told = problem()._replace(terms=(Term("command_change_rms_A", scale=1e-6),))
+    told = problem()._replace(objective=Objective((Term("command_change_rms_A", scale=1e-6),)))
     assert scales_of(told, before) == [1e-6], "what the user says is not touched"
 
 
@@ -191,7 +191,7 @@ def test_lost_runs_order_candidates():
     own = make_group("tight", case()._replace(loop=loop), {}, np.arange(1))
     weak = search_space(case(), (Search("K", 1e-3, 1e6, tied=True),))
     scaled = tuple(t._replace(scale=1.0) for t in TERMS[:1])
-    tight = make_problem(weak, (own,), scaled, width=4)
+    tight = make_problem(weak, (own,), Objective(scaled), width=4)
     found = evaluate(tight, np.array([[-3.6], [-3.27], [-3.08], [0.0]]))
     lost = found.lost_at_s[:, 0]
     assert np.all(lost[:-1] > 0) and len(set(lost[:-1])) == 3
@@ -202,7 +202,7 @@ def test_lost_runs_order_candidates():
     with pytest.raises(ValueError, match=r"1 of 1 training runs are lost, the first, tight 0, at"):
         start = case()._replace(gains=weak.gains_of(jnp.asarray([-3.6])))
         space_of_lost = search_space(start, (Search("K", 1e-3, 1e6, tied=True),))
-        make_problem(space_of_lost, (own,), TERMS[:1], width=4)
+        make_problem(space_of_lost, (own,), Objective(TERMS[:1]), width=4)
 
 
 @pytest.mark.fast
@@ -266,7 +266,7 @@ def test_what_a_problem_refuses():
         ((Term("contour_rms_um", scale=0.0),), "scale = 0 of contour_rms_um"),
     ):
         with pytest.raises(ValueError, match=told):
-            make_problem(*parts, terms)
+            make_problem(*parts, Objective(terms))
     with pytest.raises(ValueError, match=r"margin = 1: must be in 0\.\.1"):
         make_group("g", case(), {}, np.arange(1), margin=1.0)
     assert {"growth", "contour_smooth_max_um", "command_change_rms_A"} < set(
@@ -312,12 +312,12 @@ def test_the_method_is_chosen_by_size_and_check():
 
 def test_a_budget_below_a_jacobian_is_not_overrun():
     """CMA-ES searches in its place, and the result says so; nothing is asked beyond the budget."""
-    dear = COST_MODEL._replace(curvature=50.0, gradient=40.0)
+    dear = COST_MODEL._replace(gauss_newton=50.0, gradient=40.0)
     for method, name, least in ((None, "lm", 65), (lbfgs(), "lbfgs", 44)):
         budget = least - 1.0
         found = tune(problem(), method, budget=budget, cost_model=dear)
         assert found.method == "cma" and 0.8 * budget < found.simulations <= budget
-        told = f"the first step of {name} costs {least} units, more than the budget"
+        told = f"the first step of {name} costs {least} simulations, more than the budget"
         assert found.note == f"{told}: CMA-ES searched"
         assert found.after < found.before
     first = tune(problem(), lbfgs(), budget=44.0, cost_model=dear)
@@ -325,7 +325,7 @@ def test_a_budget_below_a_jacobian_is_not_overrun():
     assert [step.simulations for step in first.history] == [40, 44], (
         "what the last step tried is told"
     )
-    with pytest.raises(ValueError, match="budget = 17: must be >= 18 units"):
+    with pytest.raises(ValueError, match="budget = 17: must be >= 18 simulations"):
         tune(problem(), starts=2, budget=17.0, cost_model=dear)
 
 
@@ -370,7 +370,7 @@ def test_a_stopped_tuning_ends_the_same(tmp_path):
 def test_goals_are_met_before_anything_else():
     """Least contour error among what moves the command by less than 60 mA a period."""
     goals = parse_goals("command_change_rms_A < 0.06", available_columns(case()))
-    bound = make_problem(searched(), (group(0.25),), TERMS[:1], goals, width=4)
+    bound = make_problem(searched(), (group(0.25),), Objective(TERMS[:1], goals), width=4)
     found = tune(bound, levenberg_marquardt(), budget=80.0, cost_model=COST_MODEL)
     assert found.feasible and found.after < 0.9
     change = evaluate(problem(), found.z[None]).columns["command_change_rms_A"]

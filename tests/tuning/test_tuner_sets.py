@@ -28,7 +28,7 @@ from tuning.tuner.evidence.validation import (
 from tuning.tuner.evidence.worst_case import worst_plants
 from tuning.tuner.problem import default_sets as training
 from tuning.tuner.problem.default_sets import LoopSpec, longer, shortened, spreads_of
-from tuning.tuner.problem.objective import parse_goals
+from tuning.tuner.problem.objective import Objective, parse_goals
 from tuning.tuner.problem.problem import Evaluation
 from tuning.tuner.problem.scenario_set import (
     ContourSpec,
@@ -323,7 +323,7 @@ PLANTS = np.linspace(5.0, 9.0, 40)
             0.5,
             "with 4 times the time and other plants the obj",
         ),
-        ({"longer": GOOD._replace(metric=(30.0, 9.0))}, 0.5, "the figure grows from 4 to 9"),
+        ({"longer": GOOD._replace(metric=(30.0, 9.0))}, 0.5, "the metric grows from 4 to 9"),
         ({}, 1.01, "is not shown to be a gain"),
         ({}, np.nan, "40 of 40 held-out runs are lost, 0 before"),
     ],
@@ -355,12 +355,12 @@ def test_held_out_runs_are_simulated_under_both_gains():
 
 def test_a_goal_that_is_missed_says_where_and_by_what():
     class Problem(NamedTuple):
-        goals: tuple
+        objective: Objective
         run_names: tuple
 
     columns = {"contour_max_um": np.array([[9.0, 9.0], [3.0, 31.0]]), "growth": np.ones((2, 2))}
     goals = parse_goals("contour_max_um < 20 and growth < 2", columns)
-    problem = Problem(goals, ("circle 0", "circle 1"))
+    problem = Problem(Objective((), goals), ("circle 0", "circle 1"))
     found = Evaluation(np.zeros(2), np.zeros((2, 2)), np.zeros(2), np.full((2, 2), np.nan), columns)
     assert missed_goals(problem, found, 0) == ()
     assert missed_goals(problem, found, 1) == (

@@ -23,8 +23,8 @@ MOST = 24
 
 @contextmanager
 def bar(budget: float) -> Iterator[Observer]:
-    """A bar on standard error: units spent, best objective, the same on other plants, norm of the
-    gradient, time left."""
+    """A bar on standard error: simulations spent, best objective, the same on other plants, norm of
+    the gradient, time left."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(24),
@@ -51,7 +51,7 @@ def bar(budget: float) -> Iterator[Observer]:
 def step_text(now: TrainingProgress, simulations: float, budget: float) -> str:
     """One line on a step."""
     one = now.progress
-    told = [f"{simulations:.0f}/{budget:.0f} units", f"best {one.best:.4g}"]
+    told = [f"{simulations:.0f}/{budget:.0f} simulations", f"best {one.best:.4g}"]
     if now.fresh is not None:
         told.append(f"other plants {now.fresh:.4g}")
     if math.isfinite(one.gradient_norm):
@@ -63,12 +63,12 @@ def step_text(now: TrainingProgress, simulations: float, budget: float) -> str:
 
 
 def show(outcome: TuningResult, extras: Extras) -> None:
-    """Print the verdict, the figures before and after, gains, and diagnostics."""
+    """Print the verdict, the metrics before and after, gains, and diagnostics."""
     console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 120)
     table, tuned = outcome.plan.table, outcome.tuned
     console.print(
         f"[bold]{table['loop']}[/bold]  {tuned.method}, {tuned.n} parameters, "
-        f"{outcome.simulations:.0f} units in {outcome.seconds:.0f} s ({tuned.ended})"
+        f"{outcome.simulations:.0f} simulations in {outcome.seconds:.0f} s ({tuned.ended})"
     )
     verdict = "[green]accepted[/green]" if not outcome.refused else "[red]not accepted[/red]"
     console.print(f"{verdict}; held out: {verdict_text(outcome.held_out)}")
@@ -88,7 +88,7 @@ def show(outcome: TuningResult, extras: Extras) -> None:
 
 def _metrics(outcome: TuningResult, extras: Extras) -> Table:
     rows = Table(box=None, padding=(0, 2), header_style="bold")
-    for head, side in (("figure", "left"), ("before", "right"), ("after", "right"), ("", "left")):
+    for head, side in (("metric", "left"), ("before", "right"), ("after", "right"), ("", "left")):
         rows.add_column(head, justify=side, no_wrap=True)  # type: ignore[arg-type]
     for name, value in extras.before.items():
         shown, unit = split_key(name)
@@ -101,7 +101,7 @@ def _metrics(outcome: TuningResult, extras: Extras) -> Table:
     return rows
 
 
-def _gains(found: tuple[Parameter, ...]) -> Table:
+def _gains(every: tuple[Parameter, ...]) -> Table:
     rows = Table(box=None, padding=(0, 2), header_style="bold")
     for head, side in (
         ("gain", "left"),
@@ -111,31 +111,31 @@ def _gains(found: tuple[Parameter, ...]) -> Table:
         ("", "left"),
     ):
         rows.add_column(head, justify=side, no_wrap=True)  # type: ignore[arg-type]
-    for p in found[:MOST]:
+    for p in every[:MOST]:
         bound = "on its bound" if p.at_bound else ""
         name = p.label.removeprefix("gains.")
         shown = f"{p.low:.4g}..{p.high:.4g} {p.unit if p.unit != '1' else ''}"
         rows.add_row(name, _number(p.before), _number(p.value), shown, bound)
-    if len(found) > MOST:
-        rows.add_row(f"and {len(found) - MOST} more", "", "", "", "")
+    if len(every) > MOST:
+        rows.add_row(f"and {len(every) - MOST} more", "", "", "", "")
     return rows
 
 
 def _diagnostics(outcome: TuningResult) -> Iterator[str]:
-    found = outcome.diagnostics
-    if found.gradient_ok is not None:
-        worst = max((found.gradient_error or {"": math.nan}).values())
-        state = "agree" if found.gradient_ok else "do NOT agree"
+    known = outcome.diagnostics
+    if known.gradient_ok is not None:
+        worst = max((known.gradient_error or {"": math.nan}).values())
+        state = "agree" if known.gradient_ok else "do NOT agree"
         yield f"gradients and differences {state}, largest error {worst:.2g}"
-    if found.at_bounds:
-        yield f"on their bounds: {_named(found.at_bounds)}"
-    if found.effects and found.effects.insensitive:
-        yield f"without effect: {_named(found.effects.insensitive)}"
-    for group in found.effects.redundant if found.effects else ():
+    if known.at_bounds:
+        yield f"on their bounds: {_named(known.at_bounds)}"
+    if known.effects and known.effects.insensitive:
+        yield f"without effect: {_named(known.effects.insensitive)}"
+    for group in known.effects.redundant if known.effects else ():
         yield f"do the same: {_named(group)}"
-    if found.starts_agree is not None:
-        told = ", ".join(f"{value:.4g}" for value in found.starts)
-        yield f"starts {'agree' if found.starts_agree else 'do NOT agree'}: {told}"
+    if known.starts_agree is not None:
+        told = ", ".join(f"{value:.4g}" for value in known.starts)
+        yield f"starts {'agree' if known.starts_agree else 'do NOT agree'}: {told}"
     validation = outcome.chosen.validation
     for name, one in (
         ("training runs, half the step", validation.half_step),
@@ -155,9 +155,9 @@ def _diagnostics(outcome: TuningResult) -> Iterator[str]:
             f"taken back to {outcome.chosen.share:.0%} of the way from the gains before: what was "
             "found did not pass these tests"
         )
-    if found.radius:
-        yield f"spectral radius of a period: {found.radius[0]:.6g} -> {found.radius[1]:.6g}"
-    yield from found.notes
+    if known.radius:
+        yield f"spectral radius of a period: {known.radius[0]:.6g} -> {known.radius[1]:.6g}"
+    yield from known.notes
 
 
 def _named(labels: tuple[str, ...]) -> str:
@@ -173,7 +173,7 @@ def _baselines(outcome: TuningResult, others: tuple[ConvergenceCurve, ...]) -> T
     rows = Table(box=None, padding=(0, 2), header_style="bold")
     rows.add_column("best objective after")
     for simulations in marks:
-        rows.add_column(f"{simulations:.0f} units", justify="right", no_wrap=True)
+        rows.add_column(f"{simulations:.0f} simulations", justify="right", no_wrap=True)
     for one in every:
         rows.add_row(one.method, *(_number(one.at(simulations)) for simulations in marks))
     return rows

@@ -1,4 +1,4 @@
-"""The same problem by other methods at equal cost: best objective against units spent."""
+"""Baselines: the same problem by other methods at equal cost, as convergence curves."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +12,14 @@ from tuning.tuner.session import TuningResult, log_folder
 
 
 class ConvergenceCurve(NamedTuple):
-    """How the best objective fell. method: its name. units, best, gradient: (k,)."""
+    """Best objective against cost.
+
+    Attributes:
+        method: its name.
+        simulations: spent, (k,).
+        best: J of the best gains so far, (k,).
+        gradient: norm of the gradient, NaN where unknown, (k,).
+    """
 
     method: str
     simulations: np.ndarray
@@ -20,29 +27,33 @@ class ConvergenceCurve(NamedTuple):
     gradient: np.ndarray
 
     def at(self, simulations: float) -> float:
-        """The best objective after so many units: 1 and what the first step gave are the start."""
+        """Best J after so many simulations; before the first step, of the gains before."""
         reached = self.best[self.simulations <= simulations]
         return float(reached[-1]) if len(reached) else float(self.best[0])
 
     def reached(self, objective: float) -> float | None:
-        """Units after which the objective was reached, None where it was not."""
+        """Simulations after which J was reached, None where it was not."""
         there = self.simulations[self.best <= objective]
         return float(there[0]) if len(there) else None
 
 
-def convergence_curve(tuned: SearchResult) -> ConvergenceCurve:
-    """The course of a tuning; it begins at the gains before."""
-    steps = tuned.history
+def convergence_curve(result: SearchResult) -> ConvergenceCurve:
+    """The curve of a search; it begins at the gains before."""
+    steps = result.history
     return ConvergenceCurve(
-        method=tuned.method,
+        method=result.method,
         simulations=np.array([0.0, *(step.simulations for step in steps)]),
-        best=np.minimum.accumulate([tuned.before, *(step.best for step in steps)]),
+        best=np.minimum.accumulate([result.before, *(step.best for step in steps)]),
         gradient=np.array([np.nan, *(step.gradient_norm for step in steps)]),
     )
 
 
 def parse_methods(text: str) -> tuple[str, ...]:
-    """The methods of ``cma,random``. Raises ValueError for an unknown one or one named twice."""
+    """The methods of ``cma,random``.
+
+    Raises:
+        ValueError: one is unknown, or named twice.
+    """
     names = [name.strip() for name in text.split(",")]
     for name in names:
         if name not in METHODS:
@@ -56,18 +67,19 @@ def parse_methods(text: str) -> tuple[str, ...]:
 def run_baselines(
     outcome: TuningResult, methods: Sequence[str], folder: Path | None
 ) -> tuple[ConvergenceCurve, ...]:
-    """Other methods on the first round's problem, from the same starts and seed, each with the
-    units that its first round spent."""
+    """Other methods on the first round's problem, from the same starts and seed.
+
+    Args:
+        outcome: of the tuning.
+        methods: names; each may spend the simulations of the first round.
+        folder: keeps every evaluation.
+    """
     first, table = outcome.rounds[0].tuned, outcome.plan.table
-    found = []
+    curves = []
     for name in methods:
-        tuned = tune(
-            outcome.problem,
-            METHODS[name](),
-            table["starts"],
-            table["seed"],
-            first.simulations,
-            log_folder=log_folder(folder, f"baseline-{name}"),
+        log = log_folder(folder, f"baseline-{name}")
+        common = (table["starts"], table["seed"], first.simulations)
+        curves.append(
+            convergence_curve(tune(outcome.problem, METHODS[name](), *common, log_folder=log))
         )
-        found.append(convergence_curve(tuned))
-    return tuple(found)
+    return tuple(curves)

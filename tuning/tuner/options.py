@@ -1,8 +1,8 @@
-"""What a user writes on the command line, read: gains to tune, objective.
+"""The little languages of the command line: gains to tune, objective.
 
 --gains "c1=0.1..10, eta:tied, weights:fixed"     names with range and how they are searched
 --gains tuned.toml                                a file: the values to start from
---objective "contour_rms_um + 0.1*energy_J/2"     weight * figure / scale, summed
+--objective "contour_rms_um + 0.1*energy_J/2"     weight * metric / scale, summed
 """
 
 import ast
@@ -24,18 +24,26 @@ _FORM = re.compile(
 BESIDE = 0.1
 
 
-class Gains(NamedTuple):
-    """What ``--gains`` says. file: of the values to start from. searches: what is tuned, as plain
-    data (`Search` by field, the transform by name)."""
+class GainWords(NamedTuple):
+    """What ``--gains`` says.
+
+    Attributes:
+        file: of the values to start from.
+        searches: what is tuned, as plain data (`Search` by field, the transform by name).
+    """
 
     file: Path | None
     searches: tuple[dict[str, Any], ...]
 
 
-def parse_gains(words: Sequence[str]) -> Gains:
-    """``--gains`` words: one that ends in .toml is a file, any other names what is tuned.
+def parse_gains(words: Sequence[str]) -> GainWords:
+    """Parse ``--gains`` words.
 
-    Raises ValueError in one line.
+    Args:
+        words: one that ends in .toml is a file, any other names what is tuned.
+
+    Raises:
+        ValueError: in one line.
     """
     files = [Path(word) for word in words if word.endswith(".toml")]
     if len(files) > 1:
@@ -43,18 +51,18 @@ def parse_gains(words: Sequence[str]) -> Gains:
     names = [
         part.strip() for word in words if not word.endswith(".toml") for part in word.split(",")
     ]
-    return Gains(files[0] if files else None, tuple(map(_search, names)))
+    return GainWords(files[0] if files else None, tuple(map(_search, names)))
 
 
 def _search(word: str) -> dict[str, Any]:
-    found = _FORM.fullmatch(word)
-    if not found:
+    match = _FORM.fullmatch(word)
+    if not match:
         raise ValueError(f"--gains {word}: must be NAME or NAME=LOW..HIGH, then :tied, :log, ...")
-    table: dict[str, Any] = {"name": found["name"].strip()}
+    table: dict[str, Any] = {"name": match["name"].strip()}
     for end in ("low", "high"):
-        if found[end] is not None:
-            table[end] = _number(word, found[end])
-    for flag in found["flags"].split(":")[1:]:
+        if match[end] is not None:
+            table[end] = _number(word, match[end])
+    for flag in match["flags"].split(":")[1:]:
         if flag not in _FLAGS:
             hint = nearest_name(flag, _FLAGS)
             raise ValueError(f"--gains {word}: ':{flag}'{hint}: one of {', '.join(_FLAGS)}")
@@ -80,21 +88,31 @@ def search_of(table: dict[str, Any]) -> Search:
 
 def default_objective(columns: Collection[str], unit: str) -> str:
     """The contour error, of one axis its following error, and a little of energy and of the changes
-    of the command. unit: of the command, as columns write it."""
+    of the command.
+
+    Args:
+        columns: that the loop has.
+        unit: of the command, as columns write it.
+    """
     error = next(n for n in ("contour_rms_um", "following_rms_um") if n in columns)
     beside = (f"command_change_rms_{unit}", "energy_J")
     return " + ".join([error, *(f"{BESIDE:g}*{name}" for name in beside if name in columns)])
 
 
 def parse_objective(text: str, columns: Collection[str]) -> tuple[Term, ...]:
-    """The terms of ``contour_rms_um + 0.1*energy_J/2``: weight * figure / scale, summed.
+    """The terms of ``contour_rms_um + 0.1*energy_J/2``: weight * metric / scale, summed.
 
-    Raises ValueError in one line for anything else, an unknown figure, one named twice, and for a
-    weight or scale that is not > 0.
+    Args:
+        text: the sum.
+        columns: that the loop has.
+
+    Raises:
+        ValueError: in one line, for anything else, an unknown metric, one named twice, and for a
+            weight or scale that is not > 0.
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body
-        terms = [_term(part, columns) for part in _summed(tree)]
+        terms = [_term(part, columns) for part in _summands(tree)]
         names = [term.column for term in terms]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
@@ -106,29 +124,29 @@ def parse_objective(text: str, columns: Collection[str]) -> tuple[Term, ...]:
     return tuple(terms)
 
 
-def _summed(tree: ast.expr) -> list[ast.expr]:
+def _summands(tree: ast.expr) -> list[ast.expr]:
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):
-        return [*_summed(tree.left), *_summed(tree.right)]
+        return [*_summands(tree.left), *_summands(tree.right)]
     return [tree]
 
 
 def _term(tree: ast.expr, columns: Collection[str]) -> Term:
-    """weight * figure / scale, in any order that means that."""
+    """weight * metric / scale, in any order that means that."""
     match tree:
         case ast.Name(id=name):
             if name not in columns:
-                raise ValueError(f"unknown figure '{name}'{nearest_name(name, columns)}")
+                raise ValueError(f"unknown metric '{name}'{nearest_name(name, columns)}")
             return Term(name)
-        case ast.BinOp(left=ast.Constant(value=value), op=ast.Mult(), right=right):
-            inner = _term(right, columns)
-            return inner._replace(weight=inner.weight * _positive(value))
-        case ast.BinOp(left=left, op=ast.Mult(), right=ast.Constant(value=value)):
-            inner = _term(left, columns)
-            return inner._replace(weight=inner.weight * _positive(value))
-        case ast.BinOp(left=left, op=ast.Div(), right=ast.Constant(value=value)):
-            inner = _term(left, columns)
-            return inner._replace(scale=(inner.scale or 1.0) * _positive(value))
-    raise ValueError(f"'{ast.unparse(tree)}': must be weight * figure / scale")
+        case (
+            ast.BinOp(left=ast.Constant(value=value), op=ast.Mult(), right=inner)
+            | ast.BinOp(left=inner, op=ast.Mult(), right=ast.Constant(value=value))
+        ):
+            term = _term(inner, columns)
+            return term._replace(weight=term.weight * _positive(value))
+        case ast.BinOp(left=inner, op=ast.Div(), right=ast.Constant(value=value)):
+            term = _term(inner, columns)
+            return term._replace(scale=(term.scale or 1.0) * _positive(value))
+    raise ValueError(f"'{ast.unparse(tree)}': must be weight * metric / scale")
 
 
 def _positive(value: Any) -> float:

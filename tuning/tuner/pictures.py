@@ -1,4 +1,4 @@
-"""The pictures of a tuning as files in its folder."""
+"""Plots of a tuning as files in its folder."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ class BeforeAfter(NamedTuple):
     runs: tuple[Run, Run]
 
     def metrics(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The scored figures of both."""
+        """The scored metrics of both."""
         plant = self.before.loop.plant
         first, second = (columns(run.report["scored"], plant) for run in self.runs)
         return first, second
@@ -62,8 +62,8 @@ def pictures(folder: Path, outcome: TuningResult, extras: Extras, pair: BeforeAf
         drawn["pareto"] = _front(extras.front, footer)
     drawn |= rule_pictures(pair)
     files = [folder / f"{name}.png" for name in drawn]
-    for file, figure in zip(files, drawn.values(), strict=True):
-        save(figure, file)
+    for file, plot in zip(files, drawn.values(), strict=True):
+        save(plot, file)
     return files
 
 
@@ -73,7 +73,7 @@ def _footer(outcome: TuningResult) -> str:
         (
             table["loop"],
             f"{outcome.tuned.method}, {outcome.tuned.n} parameters, "
-            f"{outcome.simulations:.0f} units",
+            f"{outcome.simulations:.0f} simulations",
             f"objective {table['objective']}",
             f"{outcome.problem.runs} training runs, seed {table['seed']}",
             "accepted" if not outcome.refused else f"NOT accepted: {outcome.refused[0]}",
@@ -84,12 +84,12 @@ def _footer(outcome: TuningResult) -> str:
 
 
 def _views(pair: BeforeAfter) -> list[Any]:
-    found = []
+    views = []
     for case, run in zip((pair.before, pair.after), pair.runs, strict=True):
         left = int(run.final.left_path_at)
         because = lost_because(case, left if left >= 0 else None)
-        found.append(view(case, run.report["scored"], run.rows["record"], because))
-    return found
+        views.append(view(case, run.report["scored"], run.rows["record"], because))
+    return views
 
 
 def _traces(courses: list[ConvergenceCurve]) -> list[tuning.Trace]:
@@ -114,15 +114,15 @@ def _moved(outcome: TuningResult) -> list[tuning.Moved]:
 
 
 def _held_out(outcome: TuningResult, footer: str) -> sweep.Figure:
-    pairs, found = outcome.pairs, outcome.held_out
-    name, unit = split_key(found.metric)
+    pairs, verdict = outcome.pairs, outcome.held_out
+    name, unit = split_key(verdict.metric)
     shown = f"{name} ({unit.replace('um', 'µm')})" if unit else name
     sheet = sweep.Sheet(shown, None, footer)
     samples = [
         sweep.Sample(label, values, None)
         for label, values in (("after", pairs.after), ("before", pairs.before))
     ]
-    text = f"Each dot is one held-out plant under both gains: {verdict_text(found)}."
+    text = f"Each dot is one held-out plant under both gains: {verdict_text(verdict)}."
     return sweep.versus(samples[0], samples[1], text, sheet)
 
 
@@ -148,13 +148,13 @@ def rule_pictures(pair: BeforeAfter) -> dict[str, sweep.Figure]:
 
 def rules_text(pair: BeforeAfter) -> str | None:
     """The fuzzy rules before and after tuning as tables, None for a law without any."""
-    told = [
+    tables = [
         readable(case.gains, run.final.memory)
         for case, run in zip((pair.before, pair.after), pair.runs, strict=True)
     ]
-    if told[0] is None or told[1] is None:
+    if tables[0] is None or tables[1] is None:
         return None
-    return f"BEFORE TUNING\n\n{told[0]}\n\nAFTER TUNING\n\n{told[1]}"
+    return f"BEFORE TUNING\n\n{tables[0]}\n\nAFTER TUNING\n\n{tables[1]}"
 
 
 def write_rules(folder: Path, pair: BeforeAfter) -> None:

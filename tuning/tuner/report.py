@@ -27,7 +27,13 @@ ACCEPTED, REFUSED = "gains.toml", "refused-gains.toml"
 
 
 class Extras(NamedTuple):
-    """What was asked for beside the tuning. before, after: figures of the loop as it stands."""
+    """What was asked for beside the tuning.
+
+    Attributes:
+        before, after: metrics of the loop as it stands.
+        baselines: other methods.
+        front: trade-offs.
+    """
 
     before: dict[str, Any]
     after: dict[str, Any]
@@ -66,26 +72,26 @@ def number(value: float | None) -> float | None:
 
 
 def rounded(value: float) -> float:
-    """Units and seconds with three digits behind the point."""
+    """Simulations and seconds with three digits behind the point."""
     return round(float(value), 3)
 
 
-def _interval(found: Interval | None) -> dict[str, float | None] | None:
-    return {k: number(v) for k, v in found._asdict().items()} if found else None
+def _interval(interval: Interval | None) -> dict[str, float | None] | None:
+    return {k: number(v) for k, v in interval._asdict().items()} if interval else None
 
 
-def held_out_object(found: HeldOut) -> dict[str, Any]:
+def held_out_object(verdict: HeldOut) -> dict[str, Any]:
     """The verdict of the held-out runs."""
     return {
-        "figure": found.metric,
-        "runs": found.runs,
-        "before": _interval(found.before),
-        "after": _interval(found.after),
-        "change": _interval(found.change),
-        "lost_before": found.lost_before,
-        "lost": found.lost,
-        "better": {k: number(v) for k, v in found.better._asdict().items()},
-        "figures": {name: {"before": b, "after": a} for name, (b, a) in found.others.items()},
+        "figure": verdict.metric,
+        "runs": verdict.runs,
+        "before": _interval(verdict.before),
+        "after": _interval(verdict.after),
+        "change": _interval(verdict.change),
+        "lost_before": verdict.lost_before,
+        "lost": verdict.lost,
+        "better": {k: number(v) for k, v in verdict.better._asdict().items()},
+        "figures": {name: {"before": b, "after": a} for name, (b, a) in verdict.others.items()},
     }
 
 
@@ -105,32 +111,32 @@ def gains_object(outcome: TuningResult) -> dict[str, Any]:
     }
 
 
-def _validation_runs(found: ValidationRuns) -> dict[str, Any]:
+def _validation_runs(runs: ValidationRuns) -> dict[str, Any]:
     return {
-        "before": number(found.metric[0]),
-        "after": number(found.metric[1]),
-        "objective_before": number(found.objective[0]),
-        "objective_after": number(found.objective[1]),
-        "lost": found.lost,
+        "before": number(runs.metric[0]),
+        "after": number(runs.metric[1]),
+        "objective_before": number(runs.objective[0]),
+        "objective_after": number(runs.objective[1]),
+        "lost": runs.lost,
     }
 
 
 def diagnostics_object(outcome: TuningResult) -> dict[str, Any]:
     """What the result rests on."""
-    found, validation = outcome.diagnostics, outcome.chosen.validation
-    effects = found.effects
+    known, validation = outcome.diagnostics, outcome.chosen.validation
+    effects = known.effects
     return {
-        "gradient_ok": found.gradient_ok,
-        "gradient_error": {k: number(v) for k, v in (found.gradient_error or {}).items()},
-        "non_finite": found.non_finite,
-        "at_bounds": list(found.at_bounds),
+        "gradient_ok": known.gradient_ok,
+        "gradient_error": {k: number(v) for k, v in (known.gradient_error or {}).items()},
+        "non_finite": known.non_finite,
+        "at_bounds": list(known.at_bounds),
         "insensitive": list(effects.insensitive) if effects else None,
         "redundant": [list(group) for group in effects.redundant] if effects else None,
         "eigenvalues": [float(v) for v in effects.eigenvalues] if effects else None,
-        "starts": [number(v) for v in found.starts],
-        "starts_agree": found.starts_agree,
-        "spectral_radius": dict(zip(("before", "after"), found.radius, strict=True))
-        if found.radius
+        "starts": [number(v) for v in known.starts],
+        "starts_agree": known.starts_agree,
+        "spectral_radius": dict(zip(("before", "after"), known.radius, strict=True))
+        if known.radius
         else None,
         "surrogate": dict(zip(("before", "after"), outcome.surrogate, strict=True))
         if outcome.surrogate
@@ -148,18 +154,18 @@ def diagnostics_object(outcome: TuningResult) -> dict[str, Any]:
             }
             for one in outcome.rounds
         ],
-        "notes": list(found.notes),
+        "notes": list(known.notes),
     }
 
 
-def baseline_object(found: ConvergenceCurve, outcome: TuningResult) -> dict[str, Any]:
+def baseline_object(curve: ConvergenceCurve, outcome: TuningResult) -> dict[str, Any]:
     """A method beside the one that tuned: where it ended, and when it was where that one ended."""
     best = convergence_curve(outcome.rounds[0].tuned).best[-1]
     return {
-        "method": found.method,
-        "units": rounded(found.simulations[-1]),
-        "objective": number(found.best[-1]),
-        "units_to_same": found.reached(float(best)),
+        "method": curve.method,
+        "units": rounded(curve.simulations[-1]),
+        "objective": number(curve.best[-1]),
+        "units_to_same": curve.reached(float(best)),
     }
 
 
@@ -231,16 +237,16 @@ def gains_text(outcome: TuningResult, gains: Any = None, remark: str = "") -> st
     )
 
 
-def verdict_text(found: HeldOut) -> str:
+def verdict_text(verdict: HeldOut) -> str:
     """The verdict of the held-out runs in words."""
-    if not (found.before and found.after and found.change):
-        return f"{found.lost} of {found.runs} runs are lost, too few are left to compare"
-    name, unit = split_key(found.metric)
-    change = found.change
+    if not (verdict.before and verdict.after and verdict.change):
+        return f"{verdict.lost} of {verdict.runs} runs are lost, too few are left to compare"
+    name, unit = split_key(verdict.metric)
+    change = verdict.change
     return (
-        f"{name} {found.before.value:.4g} -> {found.after.value:.4g} {unit}, "
-        f"{change.value:+.1%} ({change.low:+.1%}..{change.high:+.1%}), on {found.runs} runs; "
-        f"{found.lost} lost, {found.lost_before} before"
+        f"{name} {verdict.before.value:.4g} -> {verdict.after.value:.4g} {unit}, "
+        f"{change.value:+.1%} ({change.low:+.1%}..{change.high:+.1%}), on {verdict.runs} runs; "
+        f"{verdict.lost} lost, {verdict.lost_before} before"
     )
 
 
@@ -256,7 +262,7 @@ def history_text(outcome: TuningResult) -> str:
 
 
 def courses_text(courses: Sequence[ConvergenceCurve]) -> str:
-    """Best objective against units of every method."""
+    """Convergence curves of every method."""
     rows = [
         (one.method, simulations, best)
         for one in courses
@@ -283,10 +289,10 @@ def write_front(folder: Path, outcome: TuningResult, front: Front) -> None:
     ]
     write_text(folder / "pareto.csv", _csv(head, rows))
     for i, gains in enumerate(front.gains):
-        told = ", ".join(
+        metrics = ", ".join(
             f"{c} {v:.4g}" for c, v in zip(front.columns, front.points[i], strict=True)
         )
-        remark = f"trade-off {i}: {told}; tested on the training runs only"
+        remark = f"trade-off {i}: {metrics}; tested on the training runs only"
         write_text(folder / f"gains-{i}.toml", gains_text(outcome, gains, remark))
 
 

@@ -1,10 +1,11 @@
-"""A tuning from its configuration to evidence: rounds of training, then the tests of the result.
+"""A tuning from its configuration to evidence: rounds of training, then validation of the result.
 
 Training sees only the training runs. What accepts or refuses comes after, on the exact model.
 """
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,19 +37,19 @@ from tuning.tuner.evidence.validation import (
 )
 from tuning.tuner.evidence.worst_case import worst_plants
 from tuning.tuner.problem.problem import Evaluation, Problem, RunGroup, evaluate
-from tuning.tuner.problem.scenario_set import RunSet, run_sets
+from tuning.tuner.problem.scenario_set import RunSet
 from tuning.tuner.problem.surrogate import NONE
 from tuning.tuner.search.optimise import METHODS, SearchProgress, SearchResult, tune
 from tuning.uncertainty.metric_table import metric_names
 
-#: how far gains may go from those before to those found; nearer ones where tests refuse the end
+#: how far gains may go from those before to those of the search; nearer ones where tests refuse
 SHARES = (1.0, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2)
-#: figures that held-out runs are judged by where the objective has one of its own
+#: metrics of held-out runs where the objective has one of its own
 USUAL = ("contour_rms_um", "following_rms_um")
 
 
 class TrainingProgress(NamedTuple):
-    """What is going on. round: of training. fresh: the objective on other plants, or None."""
+    """What is going on. round: of training. fresh: J on other plants, or None."""
 
     round: int
     progress: SearchProgress
@@ -56,15 +57,20 @@ class TrainingProgress(NamedTuple):
 
 
 class Observer(NamedTuple):
-    """Who is told: of every step, and of what comes next. other_plants: whether the objective on
-    other plants is to be told, too."""
+    """Callbacks of a tuning.
+
+    Attributes:
+        step: is told of every step.
+        stage: is told of what comes next.
+        other_plants: whether J on other plants is to be told, too.
+    """
 
     step: Callable[[TrainingProgress], None]
     stage: Callable[[str], None]
     other_plants: bool = True
 
 
-def _nothing(told: Any) -> None:
+def _nothing(_: Any) -> None:
     return None
 
 
@@ -79,7 +85,14 @@ class TrainingRound(NamedTuple):
 
 
 class SelectedGains(NamedTuple):
-    """The gains that come out. share: of the way from those before to those that were found."""
+    """The gains that come out.
+
+    Attributes:
+        z: (n,).
+        gains: the same as the law takes them.
+        share: of the way from the gains before to those of the search.
+        validation: what they were tested on.
+    """
 
     z: np.ndarray
     gains: Any
@@ -88,9 +101,20 @@ class SelectedGains(NamedTuple):
 
 
 class TuningResult(NamedTuple):
-    """A tuning and what it rests on. problem: on the training runs, without added plants; exact:
-    the same on the exact machine. surrogate: objective there before and after, None without one.
-    judged: the held-out runs. refused: why the chosen gains are not accepted."""
+    """A tuning and what it rests on.
+
+    Attributes:
+        plan: its configuration.
+        problem: on the training runs, without added plants.
+        exact: the same on the exact machine.
+        surrogate: J on the surrogate before and after, None without one.
+        rounds: of training.
+        chosen: the gains that come out.
+        held_out: verdict of the held-out runs.
+        pairs: the held-out runs.
+        diagnostics: of the search and its result.
+        refused: why the gains are not accepted, one line each.
+    """
 
     plan: TuningPlan
     problem: Problem
@@ -110,7 +134,7 @@ class TuningResult(NamedTuple):
 
     @property
     def simulations(self) -> float:
-        """Units of all rounds."""
+        """Simulations of all rounds."""
         return sum(one.tuned.simulations for one in self.rounds)
 
     @property
@@ -122,17 +146,25 @@ class TuningResult(NamedTuple):
 def run_tuning(
     plan: TuningPlan, folder: Path | None = None, watch: Observer = SILENT
 ) -> TuningResult:
-    """Train, then test. folder: keeps every evaluation; a stopped tuning goes on from there."""
+    """Train, then validate.
+
+    Args:
+        plan: the configuration.
+        folder: keeps every evaluation; a stopped tuning goes on from there.
+        watch: is told of what happens.
+    """
     watch.stage("compiling the training runs")
-    problem = exact = problem_of(plan, groups_of(plan, runs_of(plan, "train")))
+    train = runs_of(plan, "train")
+    problem = exact = problem_of(plan, groups_of(plan, train))
     if plan.table["surrogate"] != NONE:
-        problem = problem_of(plan, _trained_on(plan, runs_of(plan, "train")))
+        problem = problem_of(plan, _trained_on(plan, train))
     rounds = train_rounds(plan, problem, folder, watch)
     tuned = rounds[-1].tuned
     watch.stage("testing on the exact model: half the step, longer on other plants")
     chosen = _select(plan, exact, tuned)
     watch.stage("testing on held-out plants")
-    pairs = held_out(plan, chosen.gains)
+    metric = held_out_metric(plan)
+    pairs = simulate_pairs(runs_of(plan, "held_out"), plan.space.gains, chosen.gains, metric)
     verdict = held_out_verdict(pairs)
     watch.stage("diagnostics")
     return TuningResult(
@@ -171,30 +203,37 @@ def train_rounds(
     plan: TuningPlan, problem: Problem, folder: Path | None = None, watch: Observer = SILENT
 ) -> tuple[TrainingRound, ...]:
     """Search, then, as often as the configuration asks for it, add the worst of other plants to the
-    training runs and go on. folder: keeps every evaluation."""
-    table, made = plan.table, METHODS.get(plan.table["method"])
-    budget = table["budget"] / (table["worst_case"] + 1)
+    training runs and go on.
+
+    Args:
+        plan: the configuration.
+        problem: on the training runs.
+        folder: keeps every evaluation.
+        watch: is told of what happens.
+    """
+    table, make = plan.table, METHODS.get(plan.table["method"])
+    number_of_rounds = table["worst_case"] + 1
     other = _fresh_problem(plan, problem) if watch.other_plants else None
     rounds: list[TrainingRound] = []
     groups, added = list(problem.groups), ()
-    for number in range(table["worst_case"] + 1):
+    for number in range(number_of_rounds):
         starts: int | np.ndarray = table["starts"]
         if number:
             watch.stage(f"round {number + 1}: looking for the worst plants")
-            found = worst_plants(pool(plan, number), rounds[-1].tuned.gains, held_out_metric(plan))
-            groups += _trained_on(plan, found.added)
-            added = found.labels
+            worst = worst_plants(pool(plan, number), rounds[-1].tuned.gains, held_out_metric(plan))
+            groups += _trained_on(plan, worst.added)
+            added = worst.labels
             starts = rounds[-1].tuned.z[None]
         here = problem_of(plan, groups, problem) if number else problem
         watch.stage(f"training{f', round {number + 1}' if table['worst_case'] else ''}")
         tuned = tune(
             here,
-            made() if made else None,
+            make() if make else None,
             starts,
             table["seed"] + number,
-            budget,
+            table["budget"] / number_of_rounds,
             log_folder=log_folder(folder, f"round-{number}"),
-            watch=_stepwise(number, other, watch),
+            watch=_Narrator(number, other, watch).tell,
         )
         rounds.append(TrainingRound(tuned, added))
     return tuple(rounds)
@@ -211,31 +250,38 @@ def _fresh_problem(plan: TuningPlan, problem: Problem) -> Problem:
 SHOWING = 0.1
 
 
-def _stepwise(
-    number: int, other: Problem | None, watch: Observer
-) -> Callable[[SearchProgress], None]:
-    """Tells of a step, and of the same gains on other plants where they got better."""
-    shown: dict[str, float] = {"best": np.inf, "spent": 0.0, "begun": time.perf_counter()}
-    fresh: list[float] = []
+@dataclass
+class _Narrator:
+    """Tells of a step, and of the same gains on other plants where they got better.
 
-    def told(progress: SearchProgress) -> None:
+    best: J when other plants were last simulated. spent: seconds of that. fresh: J there.
+    """
+
+    number: int
+    other: Problem | None
+    watch: Observer
+    best: float = np.inf
+    spent: float = 0.0
+    begun: float = field(default_factory=time.perf_counter)
+    fresh: float | None = None
+
+    def tell(self, progress: SearchProgress) -> None:
+        """Tell of a step."""
         now = time.perf_counter()
-        due = shown["spent"] <= SHOWING * (now - shown["begun"])
-        if other is not None and progress.best < shown["best"] and due:
-            fresh.append(float(evaluate(other, progress.z[None]).objective[0]))
-            shown["best"] = progress.best
-            shown["spent"] += time.perf_counter() - now
-        watch.step(TrainingProgress(number, progress, fresh[-1] if fresh else None))
-
-    return told
+        due = self.spent <= SHOWING * (now - self.begun)
+        if self.other is not None and progress.best < self.best and due:
+            self.fresh = float(evaluate(self.other, progress.z[None]).objective[0])
+            self.best = progress.best
+            self.spent += time.perf_counter() - now
+        self.watch.step(TrainingProgress(self.number, progress, self.fresh))
 
 
-# --- testing -----------------------------------------------------------------------------------
+# --- validation --------------------------------------------------------------------------------
 
 
 def _select(plan: TuningPlan, problem: Problem, tuned: SearchResult) -> SelectedGains:
-    """The best gains on the way from those before to those found that pass their trials; those
-    found where none do."""
+    """The best gains on the way from those before to those of the search that pass validation;
+    those of the search where none do."""
     begun = problem.space.start()
     points = begun + np.append(0.0, SHARES)[:, None] * (tuned.z - begun)
     forms = [
@@ -243,24 +289,14 @@ def _select(plan: TuningPlan, problem: Problem, tuned: SearchResult) -> Selected
         _again(plan, problem, half_step(plan.table["train"], plan.blocks), points),
         _again(plan, problem, prolonged(validation_table(plan), plan.blocks), points),
     ]
-    found = [
-        SelectedGains(
-            points[i],
-            problem.space.gains_of(jnp.asarray(points[i])),
-            share,
-            _validation(plan, problem, forms, i),
-        )
-        for i, share in enumerate(SHARES, start=1)
-    ]
-    good = [one for one in found if not validation_refusals(one.validation)]
-    return min(good, key=lambda one: one.validation.exact.objective[1]) if good else found[0]
-
-
-def _validation(
-    plan: TuningPlan, problem: Problem, forms: list[Evaluation], index: int
-) -> Validation:
-    exact, half, longer = (_validation_runs(plan, form, index) for form in forms)
-    return Validation(exact, half, longer, missed_goals(problem, forms[0], index))
+    candidates = []
+    for i, share in enumerate(SHARES, start=1):
+        exact, half, far = (_validation_runs(plan, form, i) for form in forms)
+        validation = Validation(exact, half, far, missed_goals(problem, forms[0], i))
+        gains = problem.space.gains_of(jnp.asarray(points[i]))
+        candidates.append(SelectedGains(points[i], gains, share, validation))
+    good = [one for one in candidates if not validation_refusals(one.validation)]
+    return min(good, key=lambda one: one.validation.exact.objective[1], default=candidates[0])
 
 
 def _again(plan: TuningPlan, problem: Problem, every: list[RunSet], z: np.ndarray) -> Evaluation:
@@ -268,37 +304,37 @@ def _again(plan: TuningPlan, problem: Problem, every: list[RunSet], z: np.ndarra
     return evaluate(problem_of(plan, groups_of(plan, every), problem, width=len(z)), z)
 
 
-def _validation_runs(plan: TuningPlan, found: Evaluation, index: int) -> ValidationRuns:
+def _validation_runs(plan: TuningPlan, form: Evaluation, index: int) -> ValidationRuns:
     """The candidate at a place against the first."""
-    values = found.columns[plan.metric][[0, index]]
+    values = form.columns[plan.metric][[0, index]]
     both = np.isfinite(values).all(axis=0)
     means = values[:, both].mean(axis=1) if both.any() else np.full(2, np.nan)
-    before, after = found.objective[[0, index]]
-    lost = int(np.isfinite(found.lost_at_s[index]).sum())
+    before, after = form.objective[[0, index]]
+    lost = int(np.isfinite(form.lost_at_s[index]).sum())
     return ValidationRuns((float(means[0]), float(means[1])), (float(before), float(after)), lost)
 
 
-def missed_goals(problem: Problem, found: Evaluation, index: int) -> tuple[str, ...]:
-    """The goals that a candidate does not meet, with the figures of the run that misses most."""
-    columns = {name: values[index] for name, values in found.columns.items()}
-    told = []
-    for goal in problem.goals:
+def missed_goals(problem: Problem, evaluation: Evaluation, index: int) -> tuple[str, ...]:
+    """The goals that a candidate does not meet, with the metrics of the run that misses most.
+
+    Args:
+        problem: whose goals.
+        evaluation: of candidates.
+        index: of the candidate.
+    """
+    columns = {name: values[index] for name, values in evaluation.columns.items()}
+    lines = []
+    for goal in problem.objective.goals:
         over = np.nan_to_num(np.asarray(goal.violation(columns)), nan=np.inf)
         run = int(np.argmax(over))
         if over[run] > 0:
-            figures = ", ".join(f"{name} = {columns[name][run]:.4g}" for name in goal.names)
-            told.append(f"the goal {goal.text} is not met: {figures} in {problem.run_names[run]}")
-    return tuple(told)
+            numbers = ", ".join(f"{name} = {columns[name][run]:.4g}" for name in goal.names)
+            lines.append(f"the goal {goal.text} is not met: {numbers} in {problem.run_names[run]}")
+    return tuple(lines)
 
 
 def held_out_metric(plan: TuningPlan) -> str:
-    """What held-out runs are judged by: the figure of the objective where `jaxstage run` has it."""
+    """The metric of held-out runs: that of the objective where `jaxstage run` has it."""
     columns = dict.fromkeys(metric_names(plan.case))
     axes = plan.case.loop.plant.axes
     return next(n for n in (plan.metric, *USUAL) if has_column(columns, n, axes))
-
-
-def held_out(plan: TuningPlan, gains: Any) -> PairedRuns:
-    """The held-out runs under the gains before and some gains. Nothing has touched them before."""
-    every = run_sets(plan.table["held_out"], plan.blocks)
-    return simulate_pairs(every, plan.space.gains, gains, held_out_metric(plan))

@@ -1,5 +1,5 @@
-"""What a result rests on: gradients, borders, parameters without effect or doing the same, starts,
-and whether the sampled loop is stable."""
+"""Diagnostics: gradients, active bounds, identifiability of the parameters, agreement of starts,
+stability of the sampled loop."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -28,9 +28,14 @@ AGREE = 0.05
 
 
 class Effects(NamedTuple):
-    """insensitive: labels of parameters without effect. redundant: groups of labels that do the
-    same: moved together in the right ratio, they change nothing. eigenvalues: of the Gauss-Newton
-    matrix, ascending."""
+    """Local identifiability of the parameters.
+
+    Attributes:
+        insensitive: labels of parameters without effect.
+        redundant: groups of labels that do the same: moved together in the right ratio, they
+            change nothing.
+        eigenvalues: of the Gauss-Newton matrix, ascending, (n,).
+    """
 
     insensitive: tuple[str, ...]
     redundant: tuple[tuple[str, ...], ...]
@@ -38,8 +43,19 @@ class Effects(NamedTuple):
 
 
 class Diagnostics(NamedTuple):
-    """What is said of a result beside its figures. None where it could not be had; ``notes`` says
-    why. radius: spectral radius of one control period of the nominal loop, before and after."""
+    """What is said of a result beside its metrics; None where it could not be had.
+
+    Attributes:
+        gradient_error: run -> relative error of its slopes.
+        gradient_ok: whether a search by gradients can be trusted.
+        non_finite: runs whose slope is not finite.
+        at_bounds: labels of parameters on an edge of their box.
+        effects: of the parameters.
+        starts: J where each start ended, ascending.
+        starts_agree: whether the two best do.
+        radius: spectral radius of one control period of the nominal loop, before and after.
+        notes: why something could not be had.
+    """
 
     gradient_error: dict[str, float] | None
     gradient_ok: bool | None
@@ -55,9 +71,14 @@ class Diagnostics(NamedTuple):
 def effects(
     gauss_newton: np.ndarray, gradient: np.ndarray, objective: float, labels: Sequence[str]
 ) -> Effects:
-    """Which parameters have no effect, and which do the same.
+    """Which parameters have no effect, and which do the same: small eigenvalues of the scaled
+    Gauss-Newton matrix and the members of their eigenvectors.
 
-    gauss_newton (n, n), gradient (n,), objective: at the result, per unit of the search vector.
+    Args:
+        gauss_newton: (n, n) at the result, per unit of z.
+        gradient: (n,) there.
+        objective: J there.
+        labels: of the parameters.
     """
     own = np.abs(gradient) + 0.5 * np.diag(gauss_newton)
     acting = own > EFFECT * objective
@@ -75,36 +96,44 @@ def effects(
     return Effects(idle, tuple(groups), every)
 
 
-def diagnose(problem: Problem, tuned: SearchResult, z: np.ndarray, case: Case) -> Diagnostics:
-    """Diagnostics of a result. z: the gains chosen. case: the nominal loop."""
-    notes = [tuned.note] if tuned.note else []
-    check = tuned.check
+def diagnose(problem: Problem, result: SearchResult, z: np.ndarray, case: Case) -> Diagnostics:
+    """Diagnostics of a result.
+
+    Args:
+        problem: that was searched.
+        result: of the search.
+        z: the gains selected, (n,).
+        case: the nominal loop.
+    """
+    check, notes = result.check, [result.note] if result.note else []
     if check is None:
         notes.append("the gradient was not checked: the method does not use it")
-    found = None
-    if tuned.n > MOST_CURVED:
-        notes.append(f"no Gauss-Newton matrix of {tuned.n} parameters: it would cost too much")
-    else:
-        every = np.repeat(z[None], len(tuned.starts), axis=0)  # as in training: compiled already
-        curved = gauss_newton_model(problem, every)
-        numbers = (curved.gauss_newton[0], curved.gradient[0], float(curved.objective[0]))
-        if all(np.isfinite(np.asarray(x)).all() for x in numbers):
-            found = effects(*numbers, problem.space.labels)
-        else:
-            notes.append("the Gauss-Newton matrix is not finite here")
+    known, note = _effects(problem, z, len(result.starts))
     errors = dict(zip(check.runs, map(float, check.error), strict=True)) if check else None
-    ends = tuple(sorted(start.objective for start in tuned.starts))
+    ends = tuple(sorted(start.objective for start in result.starts))
     return Diagnostics(
         gradient_error=errors,
         gradient_ok=check.ok if check else None,
         non_finite=check.non_finite if check else 0,
         at_bounds=tuple(p.label for p in parameters(problem.space, z) if p.at_bound),
-        effects=found,
+        effects=known,
         starts=ends,
         starts_agree=ends[1] <= ends[0] * (1 + AGREE) if len(ends) > 1 else None,
         radius=_radii(case, problem.space.gains, problem.space.gains_of(jnp.asarray(z))),
-        notes=tuple(notes),
+        notes=(*notes, *note),
     )
+
+
+def _effects(problem: Problem, z: np.ndarray, starts: int) -> tuple[Effects | None, list[str]]:
+    """Effects of the parameters at z, or why there are none. starts: of the search."""
+    if len(z) > MOST_CURVED:
+        return None, [f"no Gauss-Newton matrix of {len(z)} parameters: it would cost too much"]
+    every = np.repeat(z[None], starts, axis=0)  # as in training: compiled already
+    model = gauss_newton_model(problem, every)
+    numbers = (model.gauss_newton[0], model.gradient[0], float(model.objective[0]))
+    if all(np.isfinite(np.asarray(x)).all() for x in numbers):
+        return effects(*numbers, problem.space.labels), []
+    return None, ["the Gauss-Newton matrix is not finite here"]
 
 
 def _radii(case: Case, before: Any, after: Any) -> tuple[float, float] | None:

@@ -1,6 +1,6 @@
-"""Gains on the exact model: held-out plants, half the step, a longer run, and the verdict.
+"""Validation on the exact model: held-out plants, half the step, a longer run, and the verdict.
 
-Nothing of this is seen by a search. Figures are those of `jaxstage run`, over the scored part.
+No search sees any of this. Metrics are those of `jaxstage run`, over the scored part.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,28 +14,31 @@ from jaxstage.metrics import selected
 from jaxstage.simulate.batch import rollouts
 from jaxstage.studies import Case, Timing, with_metric
 from jaxstage.studies.case import scored
-from tuning.tuner.problem.scenario_set import RunSet, run_sets
+from tuning.tuner.problem.scenario_set import RunSet, SetTable, run_sets
 from tuning.tuner.problem.training_metrics import available_columns
 from tuning.uncertainty.metric_table import flag_columns, metric_columns
 from tuning.uncertainty.statistics import Interval, Share, bootstrap, share
 from tuning.uncertainty.uncertain_space import batch
 
-#: metrics whose figures are told of runs that only judge
+#: metrics that are shown of runs that only validate
 KEPT = ("tracking", "following", "contour", "effort", "energy")
-#: bytes that the figures of one batch may take
+#: bytes that the metrics of one batch may take
 MEMORY = 2e9
-#: a figure that differs by more between the step and half of it depends on the integration
+#: a metric that differs by more between the step and half of it depends on the integration
 STEP_LIMIT = 0.1
-#: a figure that grows by more over a longer run is not at rest
+#: a metric that grows by more over a longer run is not at rest
 GROWTH_LIMIT = 2.0
 #: a longer run is so many times as long
 LONGER = 4
 
 
 class PairedRuns(NamedTuple):
-    """A figure of runs under the gains before and after, (runs,) each, NaN where a run was lost.
+    """A metric of the same runs under two gains (common random numbers).
 
-    columns: every figure, name -> (2, runs).
+    Attributes:
+        metric: its column.
+        before, after: under the gains before and after, NaN where a run was lost, (runs,).
+        columns: every metric, name -> (2, runs).
     """
 
     metric: str
@@ -49,9 +52,14 @@ class PairedRuns(NamedTuple):
 
 
 def simulate_metrics(every: Sequence[RunSet], gains: Sequence[Any]) -> dict[str, np.ndarray]:
-    """Columns (gains, runs) of all series under each of some gains, and the flags of the runs.
+    """Simulate runs under each of some gains.
 
-    A column that not all series have is left out.
+    Args:
+        every: run sets; a column that not all of them have is left out.
+        gains: as the law takes them.
+
+    Returns:
+        Metrics and flags, column -> (gains, runs).
     """
     tables = [_simulated(one, gains) for one in every]
     names = [name for name in tables[0] if all(name in table for table in tables)]
@@ -59,72 +67,76 @@ def simulate_metrics(every: Sequence[RunSet], gains: Sequence[Any]) -> dict[str,
 
 
 def with_light_metric(case: Case, metric: str) -> Case:
-    """The case with the metrics of `KEPT` and that of a figure, over its scored part."""
+    """The case with the metrics of `KEPT` and one more column, over its scored part."""
     known = available_columns(case)
-    wanted = {*KEPT, known.get(metric)} - {""}
-    names = dict.fromkeys(name for name in known.values() if name in wanted)
+    kept = {*KEPT, known.get(metric)} - {""}
+    names = dict.fromkeys(name for name in known.values() if name in kept)
     return with_metric(case, scored(selected(case.metric, tuple(names)), case.window))
 
 
 def _simulated(one: RunSet, gains: Sequence[Any]) -> dict[str, np.ndarray]:
-    runs, count = len(one.labels), len(gains)
+    case, runs, count = one.case, len(one.labels), len(gains)
     values = {path: np.concatenate([value] * count) for path, value in one.values.items()}
-    drawn = batch(one.case, values, np.concatenate([one.seeds] * count))
+    drawn = batch(case, values, np.concatenate([one.seeds] * count))
     stacked = jax.tree.map(
         lambda *leaves: jnp.repeat(jnp.stack([jnp.asarray(x) for x in leaves]), runs, axis=0),
         *gains,
     )
-    case = one.case
-    run = rollouts(
-        case.loop,
-        stacked,
-        drawn.scenario,
-        drawn.path,
-        case.window.ticks,
-        in_axes=(0, *drawn.in_axes[1:]),
-        memory=MEMORY,
-    )
+    arguments = (case.loop, stacked, drawn.scenario, drawn.path, case.window.ticks)
+    run = rollouts(*arguments, in_axes=(0, *drawn.in_axes[1:]), memory=MEMORY)
     columns = metric_columns(run.report, case.loop.plant) | flag_columns(run, case.loop.dt)
     return {name: column.reshape(count, runs) for name, column in columns.items()}
 
 
 def column_of(columns: Mapping[str, np.ndarray], metric: str, axes: Sequence[str]) -> np.ndarray:
-    """A figure by its column; one that is given per axis, by its bare name, as RMS over the axes.
+    """A metric by its column; one that is given per axis, by its bare name, as RMS over the axes.
 
-    Raises ValueError for an unknown one.
+    Args:
+        columns: column -> values.
+        metric: the column, such as ``following_rms_um``.
+        axes: names of the axes.
+
+    Raises:
+        ValueError: there is no such column.
     """
     if metric in columns:
         return columns[metric]
-    found = [columns[name] for axis in axes if (name := _per_axis(columns, metric, axis))]
-    if not found:
-        raise ValueError(f"the runs have no figure {metric}")
-    return np.sqrt(np.mean(np.square(found), axis=0))
+    per_axis = [columns[name] for axis in axes if (name := _per_axis(columns, metric, axis))]
+    if not per_axis:
+        raise ValueError(f"the runs have no metric {metric}")
+    return np.sqrt(np.mean(np.square(per_axis), axis=0))
 
 
-def _per_axis(columns: Mapping[str, np.ndarray], metric: str, axis: str) -> str:
-    """The column of one axis of a figure: ``following_rms_um`` -> ``following_rms_x_um``."""
+def _per_axis(columns: Mapping[str, Any], metric: str, axis: str) -> str:
+    """The column of one axis of a metric: ``following_rms_um`` -> ``following_rms_x_um``."""
     return next((n for n in columns if n.replace(f"_{axis}", "", 1) == metric and n != metric), "")
 
 
 def has_column(columns: Mapping[str, Any], metric: str, axes: Sequence[str]) -> bool:
-    """Whether `column_of` finds a figure."""
+    """Whether `column_of` finds a metric."""
     return metric in columns or any(_per_axis(columns, metric, axis) for axis in axes)
 
 
 def simulate_pairs(every: Sequence[RunSet], before: Any, after: Any, metric: str) -> PairedRuns:
-    """Both gains on the same runs. columns: those of `KEPT`, and the figure."""
+    """Simulate the same runs under two gains.
+
+    Args:
+        every: run sets.
+        before, after: gains.
+        metric: that they are compared by.
+    """
     every = [one._replace(case=with_light_metric(one.case, metric)) for one in every]
     columns = simulate_metrics(every, [before, after])
     values = column_of(columns, metric, every[0].case.loop.plant.axes)
     return PairedRuns(metric, values[0], values[1], columns)
 
 
-def half_step(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[RunSet]:
-    """The runs of a set with half the step of the integration, controllers as often as before."""
+def half_step(table: SetTable, blocks: Mapping[str, str]) -> list[RunSet]:
+    """The runs of a set with half the integration step, controllers as often as before."""
     return _retimed(table, blocks, lambda timing: {"substeps": 2 * timing.substeps})
 
 
-def prolonged(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[RunSet]:
+def prolonged(table: SetTable, blocks: Mapping[str, str]) -> list[RunSet]:
     """The runs of a set, `LONGER` times as long."""
 
     def longer(timing: Timing) -> dict[str, Any]:
@@ -136,9 +148,7 @@ def prolonged(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> list[RunSe
 
 
 def _retimed(
-    table: Mapping[str, Any],
-    blocks: Mapping[str, Any],
-    change: Callable[[Timing], dict[str, Any]],
+    table: SetTable, blocks: Mapping[str, str], change: Callable[[Timing], dict[str, Any]]
 ) -> list[RunSet]:
     cases = [
         {**case, "timing": case["timing"] | change(Timing(**case["timing"]))}
@@ -148,9 +158,17 @@ def _retimed(
 
 
 class HeldOut(NamedTuple):
-    """What the held-out runs say of a figure: means of the runs that neither gains lost, their
-    relative change, each with its bootstrap interval, and on how many runs the gains after are
-    better (a lost run loses)."""
+    """What the held-out runs say of a metric.
+
+    Attributes:
+        metric: its column.
+        runs: how many.
+        before, after: means of the runs that neither gains lost, with bootstrap intervals.
+        change: relative change of the mean, with its interval.
+        lost_before, lost: runs lost under either gains.
+        better: on how many runs the gains after are better; a lost run loses.
+        others: every metric -> its means before and after.
+    """
 
     metric: str
     runs: int
@@ -164,7 +182,7 @@ class HeldOut(NamedTuple):
 
 
 def held_out_verdict(pairs: PairedRuns) -> HeldOut:
-    """The verdict on held-out runs."""
+    """Verdict on held-out runs: paired bootstrap of the mean, and a count of the better ones."""
     both = np.isfinite(pairs.before) & np.isfinite(pairs.after)
     before, after = pairs.before[both], pairs.after[both]
     lost_before, lost = pairs.lost()
@@ -197,20 +215,25 @@ def _change(before: np.ndarray, after: np.ndarray) -> Interval:
 def _others(
     columns: Mapping[str, np.ndarray], both: np.ndarray
 ) -> dict[str, tuple[float | None, float | None]]:
-    """Means of every figure before and after, of the runs that neither lost."""
-    told: dict[str, tuple[float | None, float | None]] = {}
+    """Means of every metric before and after, of the runs that neither lost."""
+    pairs: dict[str, tuple[float | None, float | None]] = {}
     for name, column in columns.items():
+        if name.endswith("_at") or name in ("finite", "lost_at_s"):
+            continue
         means = column[:, both].astype(float).mean(axis=1) if both.any() else np.full(2, np.nan)
         first, second = (float(m) if np.isfinite(m) else None for m in means)
-        told[name] = (first, second)
-    return {
-        n: m for n, m in told.items() if not n.endswith("_at") and n not in ("finite", "lost_at_s")
-    }
+        pairs[name] = (first, second)
+    return pairs
 
 
 class ValidationRuns(NamedTuple):
-    """The training runs, as they were or in another form: means of the figure and objective before
-    and after, and the runs that the gains after lose."""
+    """The training runs, as they were or in another form.
+
+    Attributes:
+        metric: its means before and after.
+        objective: J before and after.
+        lost: runs that the gains after lose.
+    """
 
     metric: tuple[float, float]
     objective: tuple[float, float]
@@ -218,9 +241,14 @@ class ValidationRuns(NamedTuple):
 
 
 class Validation(NamedTuple):
-    """Both gains on the exact model. exact: on the training runs. half_step: the same. longer: on
-    other plants, `LONGER` times as long. missed: one line for each goal that the gains after do not
-    meet in the training runs."""
+    """Both gains on the exact model.
+
+    Attributes:
+        exact: on the training runs.
+        half_step: the same with half the integration step.
+        longer: on other plants, `LONGER` times as long.
+        missed: one line for each goal that the gains after do not meet in the training runs.
+    """
 
     exact: ValidationRuns
     half_step: ValidationRuns
@@ -228,50 +256,51 @@ class Validation(NamedTuple):
     missed: tuple[str, ...]
 
 
-def refusals(found: Validation, held_out: HeldOut) -> tuple[str, ...]:
+def refusals(validation: Validation, held_out: HeldOut) -> tuple[str, ...]:
     """Why the gains are not accepted, one line each; none: they are."""
-    return (*validation_refusals(found), *_held_out_refusals(held_out))
+    return (*validation_refusals(validation), *_held_out_refusals(held_out))
 
 
-def validation_refusals(found: Validation) -> tuple[str, ...]:
+def validation_refusals(validation: Validation) -> tuple[str, ...]:
     """What the training runs in their three forms say against the gains, one line each."""
-    reasons = [*found.missed]
-    before, after = found.exact.objective
-    if found.exact.lost:
-        reasons.append(f"{found.exact.lost} training runs are lost")
-    elif not after < before:
-        reasons.append(
-            f"the objective on the exact model did not fall: {before:.4g} before, {after:.4g} after"
-        )
-    metric = found.exact.metric[1]
+    exact, half, longer, missed = validation
     far = f"{LONGER} times the time and other plants"
-    for name, one in (("half the step", found.half_step), (far, found.longer)):
+    reasons = [*missed]
+    if exact.lost:
+        reasons.append(f"{exact.lost} training runs are lost")
+    elif not exact.objective[1] < exact.objective[0]:
+        reasons.append(f"the objective on the exact model {_did_not_fall(exact)}")
+    for name, one in (("half the step", half), (far, longer)):
         if one.lost:
             reasons.append(f"with {name} {one.lost} runs are lost")
         elif not one.objective[1] < one.objective[0]:
-            reasons.append(
-                f"with {name} the objective did not fall: {one.objective[0]:.4g} before, "
-                f"{one.objective[1]:.4g} after"
-            )
-    half, longer = found.half_step.metric[1], found.longer.metric[1]
-    if abs(half - metric) > STEP_LIMIT * abs(metric):
+            reasons.append(f"with {name} the objective {_did_not_fall(one)}")
+    metric = exact.metric[1]
+    if abs(half.metric[1] - metric) > STEP_LIMIT * abs(metric):
         reasons.append(
-            f"with half the step the figure is {half:.4g} instead of {metric:.4g}: it depends on "
-            "the integration"
+            f"with half the step the metric is {half.metric[1]:.4g} instead of {metric:.4g}: it "
+            "depends on the integration"
         )
-    if longer > GROWTH_LIMIT * abs(metric):
-        reasons.append(f"with {far} the figure grows from {metric:.4g} to {longer:.4g}")
+    if longer.metric[1] > GROWTH_LIMIT * abs(metric):
+        reasons.append(f"with {far} the metric grows from {metric:.4g} to {longer.metric[1]:.4g}")
     return tuple(reasons)
 
 
-def _held_out_refusals(found: HeldOut) -> tuple[str, ...]:
-    if found.lost > found.lost_before:
-        return (f"{found.lost} of {found.runs} held-out runs are lost, {found.lost_before} before",)
-    if found.change is None:
+def _did_not_fall(runs: ValidationRuns) -> str:
+    before, after = runs.objective
+    return f"did not fall: {before:.4g} before, {after:.4g} after"
+
+
+def _held_out_refusals(verdict: HeldOut) -> tuple[str, ...]:
+    if verdict.lost > verdict.lost_before:
+        runs = f"{verdict.lost} of {verdict.runs} held-out runs are lost"
+        return (f"{runs}, {verdict.lost_before} before",)
+    change = verdict.change
+    if change is None:
         return ("too few held-out runs are left to compare",)
-    if found.change.high >= 0:
+    if change.high >= 0:
         return (
-            f"{found.metric} on held-out plants: change {found.change.value:+.1%} "
-            f"({found.change.low:+.1%}..{found.change.high:+.1%}) is not shown to be a gain",
+            f"{verdict.metric} on held-out plants: change {change.value:+.1%} "
+            f"({change.low:+.1%}..{change.high:+.1%}) is not shown to be a gain",
         )
     return ()

@@ -1,11 +1,11 @@
-"""The compiled functions of a problem: costs of many gains in all training runs, and derivatives.
+"""Compiled objective: costs of many gains in all training runs, and their derivatives.
 
 All candidates run in all runs of a group in one batch, candidates first: lane = candidate * runs +
 run. The programs take gains, weights and scales as arguments, so nothing is compiled twice.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -16,10 +16,10 @@ from jax import Array
 from jaxstage.model.fields import replace
 from jaxstage.model.settings import with_leaf
 from jaxstage.simulate.batch import rollouts, spread_axes
-from tuning.tuner.problem.objective import LOST, PULL, TIGHT, Goal, Risk, Term
+from tuning.tuner.problem.objective import LOST, PULL, TIGHT, Objective
 from tuning.tuner.problem.run_group import RunGroup
 from tuning.tuner.problem.search_space import SearchSpace
-from tuning.tuner.problem.training_metrics import MetricColumns, TrainingMetric, metric_columns
+from tuning.tuner.problem.training_metrics import MetricColumns, TrainingMetric, training_columns
 
 #: lanes that run together at most
 TILE = 128
@@ -28,8 +28,15 @@ MEMORY = 4e9
 
 
 class CompiledObjective(NamedTuple):
-    """Functions of (z, weights, scales, penalty, data), whose results have the fields of
-    `Evaluation`, `Slopes` and `Curvatures`; directional takes directions (d, n) after z."""
+    """Compiled functions of (z (m, n), weights (m, terms), scales (terms,), penalty (), data).
+
+    Attributes:
+        evaluate: fields of `problem.Evaluation`; plain simulation.
+        value_and_grad: fields of `problem.ValueAndGrad`; reverse mode.
+        gauss_newton_model: fields of `problem.GaussNewtonModel`; forward mode.
+        directional: slopes of the runs' costs along directions (d, n), which come after z, as
+            (d, m, runs); forward mode.
+    """
 
     evaluate: Callable[..., Any]
     value_and_grad: Callable[..., Any]
@@ -37,58 +44,12 @@ class CompiledObjective(NamedTuple):
     directional: Callable[..., Any]
 
 
-def _lanes(space: SearchSpace, group: RunGroup, z: Array, scenario: Any, path: Any) -> Any:
-    """Arguments of `rollouts` for candidates z (m, n) in all runs of a group."""
-    gains, axes = space.gains, jax.tree.map(lambda _: None, space.gains)
-    for e in space.entries:
-        value = jax.vmap(e.value_of)(z[:, e.first : e.first + e.count])
-        names = e.path.split(".")[1:]
-        gains = with_leaf(gains, names, jnp.repeat(value, group.runs, axis=0))
-        axes = with_leaf(axes, names, 0)
-    again = jnp.tile(jnp.arange(group.runs), len(z))
-    trees = (scenario, path)
-    shared = spread_axes(group.batch.in_axes[1:], trees)
-    scenario, path = jax.tree.map(lambda x, a: x[again] if a == 0 else x, trees, shared)
-    return gains, scenario, path, (axes, *group.batch.in_axes[1:])
+class _Numbers(NamedTuple):
+    """Weights (m, terms), scales (terms,), penalty ()."""
 
-
-class _Runs(NamedTuple):
-    """Runs of a group: what they measure, and when they were lost, as a share, or NaN."""
-
-    measured: MetricColumns
-    lost: Array
-
-
-def _simulate(
-    space: SearchSpace, group: RunGroup, made: TrainingMetric, segment: int, z: Array, data: Any
-) -> _Runs:
-    case = group.case
-    gains, scenario, path, axes = _lanes(space, group, z, *data)
-    loop = replace(case.loop, metric=made.metric, segment=segment)
-    ticks, lanes = case.window.ticks, len(z) * group.runs
-    tile = min(TILE, -(-lanes // jax.local_device_count()))
-    run = rollouts(loop, gains, scenario, path, ticks, in_axes=axes, tile=tile, memory=MEMORY)
-    left, broken = run.final.left_path_at, run.final.non_finite_at
-    at = jnp.where(left >= 0, left, broken)
-    gone = at >= 0
-
-    def present(x: Array) -> Array:
-        """Ones in place of the NaN of a lost run, which no gradient may meet."""
-        return jnp.where(gone.reshape(-1, *[1] * (x.ndim - 1)), jnp.ones_like(x), x)
-
-    report = jax.tree.map(present, run.report)
-    share = jnp.where(gone, at / ticks, jnp.nan)
-    return _Runs(metric_columns(case, made, report), share)
-
-
-def _fast(space: SearchSpace, group: RunGroup, z: Array) -> Array:
-    """Control period over the longest that the law's own memory allows, (m,)."""
-    limit = group.case.loop.controller.longest_period
-
-    def longest(one: Array) -> Array:
-        return jnp.min(jnp.asarray(limit(space.gains_of(one)), one.dtype))
-
-    return group.case.loop.dt / jax.vmap(longest)(z)
+    weights: Array
+    scales: Array
+    penalty: Array
 
 
 class _Costs(NamedTuple):
@@ -102,54 +63,93 @@ class _Costs(NamedTuple):
     columns: dict[str, Array]
 
 
-class _Parts(NamedTuple):
+class _Group(NamedTuple):
     """What is fixed about the runs of a group. segment: ticks between checkpoints."""
 
     space: SearchSpace
-    group: RunGroup
-    made: TrainingMetric
-    terms: tuple[Term, ...]
-    goals: tuple[Goal, ...]
+    runs: RunGroup
+    metric: TrainingMetric
+    objective: Objective
     segment: int
 
 
-class _Numbers(NamedTuple):
-    """Weights (m, terms), scales (terms,), penalty ()."""
+def _lanes(space: SearchSpace, group: RunGroup, z: Array, data: tuple[Any, Any]) -> Any:
+    """Arguments of `rollouts` for candidates z (m, n) in all runs of a group."""
+    gains, axes = space.gains, jax.tree.map(lambda _: None, space.gains)
+    for e in space.entries:
+        value = jax.vmap(e.value_of)(z[:, e.first : e.first + e.count])
+        names = e.path.split(".")[1:]
+        gains = with_leaf(gains, names, jnp.repeat(value, group.runs, axis=0))
+        axes = with_leaf(axes, names, 0)
+    again = jnp.tile(jnp.arange(group.runs), len(z))
+    shared = spread_axes(group.batch.in_axes[1:], data)
+    scenario, path = jax.tree.map(lambda x, a: x[again] if a == 0 else x, data, shared)
+    return gains, scenario, path, (axes, *group.batch.in_axes[1:])
 
-    weights: Array
-    scales: Array
-    penalty: Array
+
+def _simulate(group: _Group, z: Array, data: tuple[Any, Any]) -> tuple[MetricColumns, Array]:
+    """Columns of the lanes, and when each was lost as a share of the run, or NaN."""
+    case, runs = group.runs.case, group.runs.runs
+    gains, scenario, path, axes = _lanes(group.space, group.runs, z, data)
+    loop = replace(case.loop, metric=group.metric.metric, segment=group.segment)
+    ticks, lanes = case.window.ticks, len(z) * runs
+    tile = min(TILE, -(-lanes // jax.local_device_count()))
+    run = rollouts(loop, gains, scenario, path, ticks, in_axes=axes, tile=tile, memory=MEMORY)
+    left, broken = run.final.left_path_at, run.final.non_finite_at
+    at = jnp.where(left >= 0, left, broken)
+    gone = at >= 0
+
+    def finite(x: Array) -> Array:
+        """Ones in place of the NaN of a lost run, which no gradient may meet."""
+        return jnp.where(gone.reshape(-1, *[1] * (x.ndim - 1)), jnp.ones_like(x), x)
+
+    report = jax.tree.map(finite, run.report)
+    share = jnp.where(gone, at / ticks, jnp.nan)
+    return training_columns(case, group.metric, report), share
+
+
+def _too_fast(space: SearchSpace, group: RunGroup, z: Array) -> Array:
+    """Control period over the longest that the law's own memory allows, (m,)."""
+    limit = group.case.loop.controller.longest_period
+
+    def longest(one: Array) -> Array:
+        return jnp.min(jnp.asarray(limit(space.gains_of(one)), one.dtype))
+
+    return group.case.loop.dt / jax.vmap(longest)(z)
 
 
 def _residuals(
-    parts: _Parts, z: Array, numbers: _Numbers, measured: MetricColumns, violations: list[Array]
+    group: _Group, z: Array, numbers: _Numbers, columns: MetricColumns, violations: list[Array]
 ) -> Array:
     """All whose squares add up to the cost of a run, (m, runs, pieces)."""
-    shape = (len(z), parts.group.runs)
+    shape = (len(z), group.runs.runs)
     weights = numbers.weights
     roots = jnp.sqrt(weights / jnp.sum(weights, axis=-1, keepdims=True))
-    found = []
-    for t, term in enumerate(parts.terms):
-        value = measured.pieces.get(term.column, measured.columns[term.column])
-        found.append(value.reshape(*shape, -1) / numbers.scales[t] * roots[:, t, None, None])
+    parts = []
+    for t, term in enumerate(group.objective.terms):
+        value = columns.pieces.get(term.column, columns.columns[term.column])
+        parts.append(value.reshape(*shape, -1) / numbers.scales[t] * roots[:, t, None, None])
     for value in violations:
         over = jnp.maximum(value + TIGHT, jnp.zeros_like(value))
-        found.append(jnp.sqrt(numbers.penalty) * over[..., None])
-    moved = math.sqrt(PULL) * (z - jnp.asarray(parts.space.start(), z.dtype)[None])
-    return jnp.concatenate(
-        [*found, jnp.broadcast_to(moved[:, None], (*shape, z.shape[1]))], axis=-1
-    )
+        parts.append(jnp.sqrt(numbers.penalty) * over[..., None])
+    moved = math.sqrt(PULL) * (z - jnp.asarray(group.space.start(), z.dtype)[None])
+    parts.append(jnp.broadcast_to(moved[:, None], (*shape, z.shape[1])))
+    return jnp.concatenate(parts, axis=-1)
 
 
-def _costs(parts: _Parts, z: Array, numbers: _Numbers, data: Any) -> _Costs:
-    runs = _simulate(parts.space, parts.group, parts.made, parts.segment, z, data)
-    shape = (len(z), parts.group.runs)
-    fast = jnp.maximum(_fast(parts.space, parts.group, z), 1.0)[:, None]
-    share = jnp.where(fast > 1, jnp.zeros(shape, z.dtype), runs.lost.reshape(shape))
+def _costs(group: _Group, z: Array, numbers: _Numbers, data: tuple[Any, Any]) -> _Costs:
+    """Costs of all candidates in the runs of a group.
+
+    A run is lost, too, where the gains need a shorter control period than the loop has.
+    """
+    measured, lost = _simulate(group, z, data)
+    shape = (len(z), group.runs.runs)
+    fast = jnp.maximum(_too_fast(group.space, group.runs, z), 1.0)[:, None]
+    share = jnp.where(fast > 1, jnp.zeros(shape, z.dtype), lost.reshape(shape))
     gone = ~jnp.isnan(share)
-    columns = {name: value.reshape(shape) for name, value in runs.measured.columns.items()}
-    missed = [goal.violation(columns) for goal in parts.goals]
-    residuals = _residuals(parts, z, numbers, runs.measured, missed)
+    columns = {name: value.reshape(shape) for name, value in measured.columns.items()}
+    missed = [goal.violation(columns) for goal in group.objective.goals]
+    residuals = _residuals(group, z, numbers, measured, missed)
     none = jnp.zeros(shape, z.dtype)
     barrier = LOST * (2.0 - jnp.where(gone, share, none) + jnp.log(fast))
     largest = jnp.max(jnp.stack(missed), axis=0) if missed else none - 1
@@ -165,52 +165,55 @@ def _costs(parts: _Parts, z: Array, numbers: _Numbers, data: Any) -> _Costs:
 def compile_objective(
     space: SearchSpace,
     groups: tuple[RunGroup, ...],
-    made: tuple[TrainingMetric, ...],
-    terms: tuple[Term, ...],
-    goals: tuple[Goal, ...],
-    risk: Risk,
+    metrics: Sequence[TrainingMetric],
+    objective: Objective,
 ) -> CompiledObjective:
-    """The programs of a problem; made: what the runs of each group compute."""
-    pairs = list(zip(groups, made, strict=True))
-    plain = [_Parts(space, group, one, terms, goals, 0) for group, one in pairs]
-    segmented = [p._replace(segment=math.isqrt(p.group.case.window.ticks)) for p in plain]
+    """The compiled functions of a problem.
+
+    Args:
+        space: what is searched.
+        groups: training runs.
+        metrics: what the runs of each group compute.
+        objective: what matters.
+    """
+    plain = [_Group(space, *pair, objective, 0) for pair in zip(groups, metrics, strict=True)]
+    segmented = [p._replace(segment=math.isqrt(p.runs.case.window.ticks)) for p in plain]
     each = np.concatenate([group.weights for group in groups])
     shares = each / each.sum()
 
-    def costs(parts: list[_Parts], z: Array, *arguments: Any) -> tuple[list[_Costs], Array, Array]:
+    def costs(parts: list[_Group], z: Array, *arguments: Any) -> tuple[list[_Costs], Array, Array]:
         """Those of each group, then c (m, runs) and the violation (m,) of all."""
         *numbers, data = arguments
-        found = [
-            _costs(part, z, _Numbers(*numbers), own) for part, own in zip(parts, data, strict=True)
-        ]
-        summed = _joined(*(jnp.sum(c.residuals**2, axis=-1) + c.lost for c in found))
-        return found, summed, jnp.max(_joined(*(c.violation for c in found)), axis=1)
+        every = [_costs(p, z, _Numbers(*numbers), own) for p, own in zip(parts, data, strict=True)]
+        summed = _joined(*(jnp.sum(c.residuals**2, axis=-1) + c.lost for c in every))
+        return every, summed, jnp.max(_joined(*(c.violation for c in every)), axis=1)
 
     def omega(every: Array) -> Array:
-        return risk.weights(jax.lax.stop_gradient(every), jnp.asarray(shares, every.dtype))
+        detached = jax.lax.stop_gradient(every)
+        return objective.risk.weights(detached, jnp.asarray(shares, every.dtype))
 
     def evaluate(z: Array, *arguments: Any) -> tuple[Any, ...]:
-        found, every, violation = costs(plain, z, *arguments)
+        groups_costs, every, violation = costs(plain, z, *arguments)
         lengths = [group.case.window.ticks * group.case.loop.dt for group in groups]
-        lost = [c.share * length for c, length in zip(found, lengths, strict=True)]
-        columns = jax.tree.map(_joined, *(c.columns for c in found))
+        lost = [c.share * length for c, length in zip(groups_costs, lengths, strict=True)]
+        columns = jax.tree.map(_joined, *(c.columns for c in groups_costs))
         return jnp.sum(omega(every) * every, axis=1), every, violation, _joined(*lost), columns
 
     def value_and_grad(z: Array, *arguments: Any) -> tuple[Array, ...]:
         def total(z: Array) -> tuple[Array, Any]:
             _, every, violation = costs(segmented, z, *arguments)
-            objective = jnp.sum(omega(every) * every, axis=1)
-            return jnp.sum(objective), (objective, violation)
+            value = jnp.sum(omega(every) * every, axis=1)
+            return jnp.sum(value), (value, violation)
 
-        gradient, (objective, violation) = jax.grad(total, has_aux=True)(z)
-        return objective, gradient, violation
+        gradient, (value, violation) = jax.grad(total, has_aux=True)(z)
+        return value, gradient, violation
 
     def tangents(z: Array, directions: Array, *arguments: Any) -> Any:
         """dr along each direction, (d, m, runs, pieces) a group; r, c and violation."""
 
         def residuals(z: Array) -> tuple[list[Array], Any]:
-            found, every, violation = costs(plain, z, *arguments)
-            values = [c.residuals for c in found]
+            groups_costs, every, violation = costs(plain, z, *arguments)
+            values = [c.residuals for c in groups_costs]
             return values, (values, every, violation)
 
         def along(direction: Array) -> Any:
@@ -238,16 +241,12 @@ def compile_objective(
         return jnp.sum(weight * every, axis=1), gradient, matrix, violation, gradients
 
     def directional(z: Array, directions: Array, *arguments: Any) -> Array:
-        """Slope of each run's cost along each direction, (d, m, runs)."""
         slope, (values, _, _) = tangents(z, directions, *arguments)
         each = [2 * jnp.sum(dr * r, axis=-1) for dr, r in zip(slope, values, strict=True)]
         return jnp.concatenate(each, axis=-1)
 
     return CompiledObjective(
-        jax.jit(evaluate),
-        jax.jit(value_and_grad),
-        jax.jit(gauss_newton_model),
-        jax.jit(directional),
+        *map(jax.jit, (evaluate, value_and_grad, gauss_newton_model, directional))
     )
 
 

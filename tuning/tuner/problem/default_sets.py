@@ -1,4 +1,4 @@
-"""What gains are trained on and judged by: the study's own spreads, or the user's file.
+"""Training and held-out sets: the study's own spreads, or the user's file.
 
     [train]
     plants = 3                   # drawn within the spreads, after the nominal one
@@ -6,7 +6,7 @@
     noise_seeds = 1              # random keys of each plant
     seed = 0                     # of the draws
     horizons = [1.0]             # s; left out: as long as the timing of a contour says
-    skip = 0.2                   # s that the figures leave out, at the start
+    skip = 0.2                   # s that the metrics leave out, at the start
 
     [[train.contour]]            # every contour with every horizon, plant, ...
     loop = "dfcmac-circle"       # loops with the law that is tuned
@@ -26,7 +26,7 @@
 
     [held_out]                   # the same keys; never simulated before the gains are final
     plants = 100
-    dealt = true                 # among the contours; false: each contour meets all
+    dealt = true                 # each plant assigned to one contour; false: each contour meets all
 
 What is left out is taken from the default of its set (`default_training`, `default_held_out`).
 """
@@ -51,7 +51,7 @@ from tuning.uncertainty.uncertain_space import study_spreads
 TRAINING_TICKS = 10_000
 #: a held-out run is so many times as long
 LONGER = 4
-#: share of a run that its figures leave out, unless the loop's timing judges whole runs: the start
+#: share of a run that its metrics leave out, unless the loop's timing judges whole runs: the start
 START_SHARE = 0.2
 #: plants: drawn for training, and held out
 PLANTS, HELD_OUT = 2, 100
@@ -66,7 +66,14 @@ GLANCE = 200
 class LoopSpec(NamedTuple):
     """The loop whose gains are tuned, and what was said about it, as for ``jaxstage run``.
 
-    spreads: what is uncertain, where a set says nothing of its own (`spreads_of`)."""
+    Attributes:
+        loop: its name.
+        words: as for ``--set``.
+        gains: file of the values to start from.
+        scenario: file of values, blocks and spreads.
+        spreads: what is uncertain, where a set says nothing of its own (`spreads_of`).
+        seed: of the draws.
+    """
 
     loop: str
     words: tuple[str, ...]
@@ -82,26 +89,29 @@ def spreads_of(loop: str, scenario: ScenarioFile) -> Sequence[Mapping[str, Any]]
 
 
 def shortened(timing: Timing) -> Timing:
-    """The timing of a training run: at most `TRAINING_TICKS` control periods, by fewer laps or,
-    where one lap is longer than that, a faster one."""
+    """The timing of a training run: at most `TRAINING_TICKS` control periods.
+
+    By fewer laps or, where one lap is longer than that, a faster one.
+    """
     most = TRAINING_TICKS * timing.dt
     whole = timing.laps * timing.lap_time if timing.duration is None else timing.duration
     if timing.feed is not None:
-        return _judged(timing, replace(timing, duration=most))
+        return _scored_after_start(timing, replace(timing, duration=most))
     lap = min(timing.lap_time, most)
     laps = max(1, math.floor(most / lap * (1 + 1e-9)))
-    return _judged(timing, replace(timing, lap_time=lap, duration=min(whole, laps * lap)))
+    changed = replace(timing, lap_time=lap, duration=min(whole, laps * lap))
+    return _scored_after_start(timing, changed)
 
 
 def longer(timing: Timing) -> Timing:
     """The timing of a held-out run: the loop's own lap, `LONGER` times as long as training."""
     duration = shortened(timing).duration
     assert duration is not None
-    return _judged(timing, replace(timing, duration=LONGER * duration))
+    return _scored_after_start(timing, replace(timing, duration=LONGER * duration))
 
 
-def _judged(own: Timing, changed: Timing) -> Timing:
-    """Figures cover all but the start, or the whole run where the loop's own timing says so."""
+def _scored_after_start(own: Timing, changed: Timing) -> Timing:
+    """Metrics cover all but the start, or the whole run where the loop's own timing says so."""
     if own.scored == 0:
         return changed
     assert changed.duration is not None
@@ -110,67 +120,81 @@ def _judged(own: Timing, changed: Timing) -> Timing:
     return replace(changed, scored=None, skip=skip)
 
 
-def default_training(loop_spec: LoopSpec, case: Case) -> SetSpec:
-    """The nominal plant and `PLANTS` others on the contour of the loop, in a lap that fits, and at
+def default_training(spec: LoopSpec, case: Case) -> SetSpec:
+    """The training set where nothing is said.
+
+    The nominal plant and `PLANTS` others on the contour of the loop, in a lap that fits, and at
     the loop's own speed on the one with the sharpest corners, if others are left to be held out.
-    case: of the loop."""
+
+    Args:
+        spec: what is tuned.
+        case: of the loop.
+    """
     timing = shortened(case.timing)
     assert timing.duration is not None
-    contours = [
-        ContourSpec(loop_spec.loop, (*loop_spec.words, *_changed_words(case.timing, timing)))
-    ]
-    others = sisters(loop_spec.loop, case.timing.dt, case.timing.substeps)
-    contours += [ContourSpec(others[0], loop_spec.words)] if len(others) > 1 else []
+    faster = timing.lap_time != case.timing.lap_time
+    words = (*spec.words, f"lap_time={timing.lap_time!r}") if faster else spec.words
+    others = sisters(spec.loop, case.timing.dt, case.timing.substeps)
+    contours = [ContourSpec(spec.loop, words)]
+    contours += [ContourSpec(others[0], spec.words)] if len(others) > 1 else []
     return SetSpec(
         contours=tuple(contours),
         plants=PLANTS,
         nominal=True,
         noise_seeds=1,
-        seed=loop_spec.seed,
+        seed=spec.seed,
         horizons=(timing.duration,),
         skip=timing.skip,
-        spreads=loop_spec.spreads,
-        correlations=tuple(loop_spec.scenario.correlations),
+        spreads=spec.spreads,
+        correlations=tuple(spec.scenario.correlations),
         design="sobol",
     )
 
 
-def _changed_words(own: Timing, timing: Timing) -> tuple[str, ...]:
-    return (f"lap_time={timing.lap_time!r}",) if timing.lap_time != own.lap_time else ()
+def default_held_out(spec: LoopSpec, case: Case) -> SetSpec:
+    """The held-out set where nothing is said.
 
+    `HELD_OUT` plants, on the contours of the law that are not trained on where there are any, else
+    with the motion spread, too, at the loop's own lap time and `LONGER` times as long.
 
-def default_held_out(loop_spec: LoopSpec, case: Case) -> SetSpec:
-    """`HELD_OUT` plants, on the contours of the law that are not trained on where there are any,
-    else with the motion spread, too, at the loop's own lap time and `LONGER` times as long."""
+    Args:
+        spec: what is tuned.
+        case: of the loop.
+    """
     timing = longer(case.timing)
     assert timing.duration is not None
-    others = sisters(loop_spec.loop, case.timing.dt, case.timing.substeps)
+    others = sisters(spec.loop, case.timing.dt, case.timing.substeps)
     others = others[1:] if len(others) > 1 else others
-    own = [
+    motion = [
         {"path": path, "distribution": "uniform", "low": 1 - SPREAD, "high": 1 + SPREAD}
         for path, quantity, value in leaves(case.path, "reference")
-        if quantity.role == "param" and np.all(np.asarray(value) != 0)
+        if not others and quantity.role == "param" and np.all(np.asarray(value) != 0)
     ]
-    motion = [] if others else own
-    spreads = (*loop_spec.spreads, *motion)
     return SetSpec(
-        contours=tuple(ContourSpec(name, loop_spec.words) for name in others or (loop_spec.loop,)),
+        contours=tuple(ContourSpec(name, spec.words) for name in others or (spec.loop,)),
         plants=HELD_OUT,
         nominal=False,
         noise_seeds=1,
-        seed=(loop_spec.seed + HELD_OUT_SEED) % 2**32,
+        seed=(spec.seed + HELD_OUT_SEED) % 2**32,
         horizons=(timing.duration,),
         skip=timing.skip,
-        spreads=spreads,
-        correlations=tuple(loop_spec.scenario.correlations),
+        spreads=(*spec.spreads, *motion),
+        correlations=tuple(spec.scenario.correlations),
         dealt=True,
     )
 
 
 @functools.cache
 def sisters(loop: str, dt: float, substeps: int) -> tuple[str, ...]:
-    """Loops of the same study with the same law and published gains on another contour, the one
-    with the sharpest corners first."""
+    """Loops of the same study with the same law and published gains on another contour.
+
+    The one with the sharpest corners comes first.
+
+    Args:
+        loop: name of the loop.
+        dt: its control period, s.
+        substeps: its integration steps in a period.
+    """
     stem = loop.rpartition("-")[0]
     study = next(s for s in known_studies() if any(entry.name == loop for entry in s.loops))
     names = [e.name for e in study.loops if stem and e.name.startswith(f"{stem}-")]
@@ -179,8 +203,8 @@ def sisters(loop: str, dt: float, substeps: int) -> tuple[str, ...]:
     # a short lap: only the curves are compared
     timing = Timing(lap_time=GLANCE * dt, laps=1, dt=dt, substeps=substeps)
     built = {name: find(name).build(timing) for name in names}
-    found = [n for n in names if n != loop and _are_sisters(built[loop], built[n])]
-    return tuple(sorted(found, key=lambda name: -_sharpness(built[name])))
+    others = [n for n in names if n != loop and _are_sisters(built[loop], built[n])]
+    return tuple(sorted(others, key=lambda name: -_sharpness(built[name])))
 
 
 def _sharpness(case: Case) -> float:
@@ -203,6 +227,3 @@ def _equal(a: Any, b: Any) -> bool:
     if jax.tree.structure(a) != jax.tree.structure(b):
         return False
     return all(np.array_equal(x, y) for x, y in zip(*map(jax.tree.leaves, (a, b)), strict=True))
-
-
-# --- the user's file ---------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Are the gradients of a problem right? Slopes against central differences, run by run."""
+"""Gradient check: forward-mode slopes against central differences, run by run."""
 
 from typing import NamedTuple
 
@@ -15,9 +15,16 @@ MOST_RUNS = 0.75
 
 
 class GradientCheck(NamedTuple):
-    """slopes, differences: (runs, d) of the cost of each run. error: (runs,), of the better step,
-    relative to the largest slope of the run. non_finite: runs whose slope is not finite. ok:
-    whether a search by gradients can be trusted."""
+    """Slopes of the cost of each run against differences.
+
+    Attributes:
+        runs: their names.
+        slopes: derivatives along d directions, (runs, d).
+        differences: of the better step, (runs, d).
+        error: largest difference of both, relative to the largest slope of the run, (runs,).
+        non_finite: runs whose slope is not finite.
+        ok: whether a search by gradients can be trusted.
+    """
 
     runs: tuple[str, ...]
     slopes: np.ndarray
@@ -28,7 +35,7 @@ class GradientCheck(NamedTuple):
 
 
 def directions_of(size: int, count: int, seed: int) -> np.ndarray:
-    """``count`` random directions of length 1 in ``size`` dimensions."""
+    """Random unit vectors, (count, size)."""
     drawn = np.random.default_rng(seed).standard_normal((count, size))
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
@@ -40,14 +47,19 @@ def gradient_check(
     seed: int = 0,
     known: GaussNewtonModel | None = None,
 ) -> GradientCheck:
-    """Forward-mode slopes of every run's cost at z (n,) against central differences.
+    """Check the derivatives of every run's cost along random directions.
 
-    Along random directions. known: of `curvatures` at z, which holds the slopes already.
+    Args:
+        problem: training runs and objective.
+        z: where, (n,).
+        directions: how many.
+        seed: of the directions.
+        known: the model at z, which holds the slopes already.
     """
     along = directions_of(len(z), directions, seed)
     slopes = directional(problem, z, along) if known is None else along @ known.of_runs[0].T
-    found = [_differences(problem, z, along, step) for step in STEPS]
-    return compare_slopes(problem.run_names, slopes.T, [f.T for f in found])
+    differences = [_differences(problem, z, along, step).T for step in STEPS]
+    return compare_slopes(problem.run_names, slopes.T, differences)
 
 
 def _differences(problem: Problem, z: np.ndarray, along: np.ndarray, step: float) -> np.ndarray:
@@ -59,14 +71,20 @@ def _differences(problem: Problem, z: np.ndarray, along: np.ndarray, step: float
 def compare_slopes(
     runs: tuple[str, ...], slopes: np.ndarray, differences: list[np.ndarray]
 ) -> GradientCheck:
-    """The check from slopes (runs, d) and differences (runs, d) of each step."""
+    """The check of slopes against differences.
+
+    Args:
+        runs: their names.
+        slopes: (runs, d).
+        differences: (runs, d) of each step.
+    """
     scale = np.max(np.abs(np.stack([slopes, *differences])), axis=(0, 2))
     safe = np.where(scale > 0, scale, 1.0)
     errors = np.stack([np.max(np.abs(slopes - d), axis=1) / safe for d in differences])
     errors = np.where(np.isfinite(errors), errors, np.inf)
     best = np.argmin(errors, axis=0)
     error = np.min(errors, axis=0)
-    chosen = np.stack(differences)[best, np.arange(len(runs))]
-    broken = int(np.sum(~np.isfinite(slopes).all(axis=1)))
-    ok = broken == 0 and bool(np.mean(error <= TOLERANCE) >= MOST_RUNS)
-    return GradientCheck(runs, slopes, chosen, error, broken, ok)
+    better = np.stack(differences)[best, np.arange(len(runs))]
+    non_finite = int(np.sum(~np.isfinite(slopes).all(axis=1)))
+    ok = non_finite == 0 and bool(np.mean(error <= TOLERANCE) >= MOST_RUNS)
+    return GradientCheck(runs, slopes, better, error, non_finite, ok)

@@ -1,18 +1,20 @@
-"""What matters: weighted terms, hard goals, and how the runs of a training set are summed up.
+"""Objective: weighted least squares of metrics, penalised goals, and a risk measure over runs.
 
     c_s = sum_t w_t (v_ts / scale_t)^2 / sum_t w_t + mu sum_g max(0, violation_gs + TIGHT)^2
           + PULL |z - z of the gains before|^2
-    J   = sum_s omega_s c_s,   omega: `mean`, `worst` or `cvar` of the c_s
+    J   = sum_s omega_s c_s,   omega: mean, worst case or CVaR of the c_s
 
-v_ts: figure t of run s; scale: what counts as 1, by default the figure of the gains before (for the
-changes of a smooth command a little more, `figures.least_scale`), so that J is about 1 before and a
-halved error gives a quarter. Everything is a square, so least squares applies.
-The pull is weak: what does not matter stays as it was, and no search drifts to the edge of a box.
+v_ts: metric t of run s; scale: what counts as 1, by default the metric of the gains before (for the
+changes of a smooth command a little more, `training_metrics.least_scale`), so that J is about 1
+before and a halved error gives a quarter. Everything is a square, so Gauss-Newton applies. The pull
+is a weak Tikhonov term: what does not matter stays as it was, and no search drifts to the edge of a
+box.
 
-A goal is a comparison; its violation is (left - right) / |right|, positive when it is missed. mu
-grows while the best gains miss a goal: the terms are minimised among what meets the goals. A lost
-run costs LOST (2 - share of the run done): finite, above every run that is not lost, less the later
-it is lost.
+A goal is an inequality constraint; its violation is (left - right) / |right|, positive when it is
+missed. The quadratic penalty mu grows while the best gains miss a goal: the terms are minimised
+among what meets the goals. A lost run has an extended barrier in place of its cost,
+LOST (2 - share of the run done): finite, above every run that is not lost, less the later it is
+lost.
 """
 
 import ast
@@ -34,9 +36,14 @@ PULL = 1e-4
 
 
 class Term(NamedTuple):
-    """A figure to make small. column: see `figures`. scale: what counts as 1, in the unit of the
-    column; None: the figure of the gains before, root mean square over the runs, or
-    `figures.least_scale` where that is more."""
+    """A metric to make small.
+
+    Attributes:
+        column: of `training_metrics`.
+        weight: w, > 0.
+        scale: what counts as 1, in the unit of the column; None: the metric of the gains before,
+            root mean square over the runs, or `training_metrics.least_scale` where that is more.
+    """
 
     column: str
     weight: float = 1.0
@@ -45,8 +52,13 @@ class Term(NamedTuple):
 
 @definition
 class Risk:
-    """How runs are summed up. weights(costs (m, runs), shares (runs,)) -> (m, runs), which sum to 1
-    over the runs; shares: how much each run counts, sum 1."""
+    """Risk measure: how the costs of the runs are summed up.
+
+    Attributes:
+        name: of the measure.
+        weights: (costs (m, runs), shares (runs,)) -> omega (m, runs), which sum to 1 over the
+            runs. shares: how much each run counts, sum 1.
+    """
 
     name: str
     weights: Callable[[Array, Array], Array]
@@ -77,15 +89,22 @@ def _worst(costs: Array, shares: Array) -> Array:
     return (jnp.arange(costs.shape[-1])[None] == best[:, None]).astype(costs.dtype)
 
 
-#: The mean over the runs.
+#: Expected cost: the mean over the runs.
 mean = Risk(name="mean", weights=_mean)
 
-#: The worst run alone.
+#: Worst case: the worst run alone.
 worst = Risk(name="worst", weights=_worst)
 
 
 def cvar(share: float = 0.25) -> Risk:
-    """Conditional value at risk: the mean of the worst share of the runs. share: in (0, 1]."""
+    """Conditional value at risk (CVaR): the mean of the worst share of the runs.
+
+    Args:
+        share: in (0, 1].
+
+    Raises:
+        ValueError: the share is out of its range.
+    """
     if not 0 < share <= 1:
         raise ValueError(f"cvar share = {share:g}: must be in (0, 1]")
     return Risk(name=f"cvar {share:g}", weights=_tail(share))
@@ -96,25 +115,44 @@ RISKS: dict[str, Callable[[], Risk]] = {"mean": lambda: mean, "worst": lambda: w
 
 
 class Goal(NamedTuple):
-    """A comparison that every training run must meet. names: the columns it reads."""
+    """Inequality constraint that every training run must meet.
+
+    Attributes:
+        text: the comparison as it was written.
+        names: the columns that it reads.
+        violation: columns -> relative violation, positive where it is missed.
+    """
 
     text: str
     names: tuple[str, ...]
     violation: Callable[[Mapping[str, Any]], Array]
 
 
+class Objective(NamedTuple):
+    """What matters: terms to make small, goals to meet, and the risk measure over the runs."""
+
+    terms: tuple[Term, ...]
+    goals: tuple[Goal, ...] = ()
+    risk: Risk = mean
+
+
 def parse_goals(text: str, columns: Iterable[str]) -> tuple[Goal, ...]:
     """The goals of ``contour_max_um < 20 and growth < 1.2``.
 
-    Raises ValueError, one line, for what is not a comparison or several joined by ``and``.
+    Args:
+        text: comparisons joined by ``and``.
+        columns: the names that they may read.
+
+    Raises:
+        ValueError: in one line, for anything else.
     """
-    found = parse(text, dict.fromkeys(columns, float), "--goal")
-    return tuple(goal for part in _joined(found.tree, text) for goal in _goals(part, text))
+    tree = parse(text, dict.fromkeys(columns, float), "--goal").tree
+    return tuple(goal for part in _conjuncts(tree) for goal in _goals(part, text))
 
 
-def _joined(tree: ast.expr, text: str) -> list[ast.expr]:
+def _conjuncts(tree: ast.expr) -> list[ast.expr]:
     if isinstance(tree, ast.BoolOp) and isinstance(tree.op, ast.And):
-        return [part for value in tree.values for part in _joined(value, text)]
+        return [part for value in tree.values for part in _conjuncts(value)]
     return [tree]
 
 
@@ -127,29 +165,25 @@ def _goals(tree: ast.expr, text: str) -> list[Goal]:
     if not isinstance(tree, ast.Compare):
         raise wrong
     sides = [tree.left, *tree.comparators]
-    made = []
+    goals = []
     for left, op, right in zip(sides, tree.ops, sides[1:], strict=False):
         if not isinstance(op, ast.Lt | ast.LtE | ast.Gt | ast.GtE):
             raise wrong
         pair = (left, right) if isinstance(op, ast.Lt | ast.LtE) else (right, left)
-        single = ast.Compare(left, [op], [right])
-        made.append(_goal(ast.unparse(single), *pair))
-    return made
+        goals.append(_goal(ast.unparse(ast.Compare(left, [op], [right])), *pair))
+    return goals
+
+
+def _names(tree: ast.expr) -> list[str]:
+    return [node.id for node in ast.walk(tree) if isinstance(node, ast.Name)]
 
 
 def _goal(text: str, smaller: ast.expr, larger: ast.expr) -> Goal:
-    sides = [node for side in (smaller, larger) for node in ast.walk(side)]
-    names = tuple(dict.fromkeys(node.id for node in sides if isinstance(node, ast.Name)))
-
     def violation(columns: Mapping[str, Any]) -> Array:
         """(smaller - larger) over the magnitude of the side without columns, else of the sum."""
         low, high = number(smaller, columns), number(larger, columns)
-        fixed = [
-            jnp.asarray(number(side, {}))
-            for side in (smaller, larger)
-            if not any(isinstance(node, ast.Name) for node in ast.walk(side))
-        ]
+        fixed = [jnp.asarray(number(side, {})) for side in (smaller, larger) if not _names(side)]
         size = jnp.abs(fixed[0]) if fixed else jnp.abs(low) + jnp.abs(high)
         return (low - high) / jnp.where(size > 0, size, jnp.ones_like(size))
 
-    return Goal(text, names, violation)
+    return Goal(text, tuple(dict.fromkeys(_names(smaller) + _names(larger))), violation)

@@ -1,4 +1,4 @@
-"""A tuning problem: training runs and what matters, evaluated for many gains at once."""
+"""Tuning problem: search space, training runs and objective, evaluated for many gains at once."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tuning.tuner.problem.compiled_objective import CompiledObjective, compile_objective
-from tuning.tuner.problem.objective import Goal, Risk, Term, mean
+from tuning.tuner.problem.objective import Objective
 from tuning.tuner.problem.run_group import RunGroup as RunGroup
 from tuning.tuner.problem.run_group import make_group as make_group
 from tuning.tuner.problem.search_space import SearchSpace
@@ -17,13 +17,20 @@ from tuning.tuner.problem.training_metrics import least_scale, training_metric
 
 #: candidates of one call of the compiled evaluation
 WIDTH = 8
-#: weight of a missed goal at the start
+#: weight mu of a missed goal at the start
 PENALTY = 100.0
 
 
 class Evaluation(NamedTuple):
-    """m candidates in all runs. violation: largest of a goal, inf where a run is lost, below 0 when
-    all are met. lost_at_s: NaN where a run was not lost; columns are NaN where it was."""
+    """m candidates in all runs.
+
+    Attributes:
+        objective: J, (m,).
+        costs: c of each run, (m, runs).
+        violation: largest of a goal, inf where a run is lost, below 0 when all are met, (m,).
+        lost_at_s: when a run was lost, NaN where it was not, (m, runs).
+        columns: metrics by name, NaN where a run was lost, (m, runs) each.
+    """
 
     objective: np.ndarray
     costs: np.ndarray
@@ -33,7 +40,13 @@ class Evaluation(NamedTuple):
 
 
 class ValueAndGrad(NamedTuple):
-    """J (m,), dJ/dz (m, n) and the violation (m,)."""
+    """Objective and gradient.
+
+    Attributes:
+        objective: J, (m,).
+        gradient: dJ/dz, (m, n).
+        violation: as in `Evaluation`, (m,).
+    """
 
     objective: np.ndarray
     gradient: np.ndarray
@@ -41,8 +54,15 @@ class ValueAndGrad(NamedTuple):
 
 
 class GaussNewtonModel(NamedTuple):
-    """J (m,), dJ/dz (m, n), the Gauss-Newton matrix 2 sum omega dr/dz dr/dz^T (m, n, n), the
-    violation (m,), and dc/dz of the cost of each run (m, runs, n)."""
+    """Quadratic model of the objective: J + g^T p + p^T H p / 2.
+
+    Attributes:
+        objective: J, (m,).
+        gradient: g = dJ/dz, (m, n).
+        gauss_newton: H = 2 sum_s omega_s dr_s/dz dr_s/dz^T, (m, n, n).
+        violation: as in `Evaluation`, (m,).
+        of_runs: dc/dz of the cost of each run, (m, runs, n).
+    """
 
     objective: np.ndarray
     gradient: np.ndarray
@@ -52,20 +72,30 @@ class GaussNewtonModel(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What is tuned, on what, for what. weights: (k, terms), row r for candidates of start r; one
-    row for all. scales: (terms,). before: of the gains before."""
+    """What is tuned, on what, for what.
+
+    Attributes:
+        space: search space of n coordinates.
+        groups: training runs.
+        objective: terms, goals and risk.
+        weights: of the terms, (k, terms): row r for candidates of start r, or one row for all.
+        scales: what counts as 1 of each term, (terms,).
+        penalty: mu of missed goals.
+        width: candidates of one call of the compiled evaluation.
+        programs: the compiled functions.
+        data: (scenario, motion) of each group.
+        before: the gains before, evaluated.
+    """
 
     space: SearchSpace
     groups: tuple[RunGroup, ...]
-    terms: tuple[Term, ...]
-    goals: tuple[Goal, ...]
-    risk: Risk
+    objective: Objective
     weights: np.ndarray
     scales: np.ndarray
     penalty: float
     width: int
     programs: CompiledObjective
-    data: Any
+    data: tuple[tuple[Any, Any], ...]
     before: Evaluation | None
 
     @property
@@ -80,42 +110,41 @@ class Problem(NamedTuple):
 
 
 def make_problem(
-    space: SearchSpace,
-    groups: Sequence[RunGroup],
-    terms: Sequence[Term],
-    goals: Sequence[Goal] = (),
-    risk: Risk = mean,
-    width: int = WIDTH,
+    space: SearchSpace, groups: Sequence[RunGroup], objective: Objective, width: int = WIDTH
 ) -> Problem:
     """Compile the evaluation and evaluate the gains before, which set the scales left out.
 
-    Raises ValueError, one line, for no runs or terms, an unknown column, a weight that is not
-    positive, gains before that lose a training run, and a scale of 0.
+    Args:
+        space: what is searched.
+        groups: training runs.
+        objective: what matters.
+        width: candidates of one call.
+
+    Raises:
+        ValueError: in one line, for no runs or terms, an unknown column, a weight that is not
+            positive, gains before that lose a training run, and a scale of 0.
     """
-    groups, terms, goals = tuple(groups), tuple(terms), tuple(goals)
+    groups, terms = tuple(groups), objective.terms
     if not groups or not terms:
         raise ValueError("a problem needs training runs and at least one term")
     for term in terms:
-        if not (math.isfinite(term.weight) and term.weight > 0):
-            raise ValueError(f"weight = {term.weight:g} of {term.column}: must be > 0")
-        if term.scale is not None and not (math.isfinite(term.scale) and term.scale > 0):
-            raise ValueError(f"scale = {term.scale:g} of {term.column}: must be > 0")
-    columns = [term.column for term in terms] + [name for goal in goals for name in goal.names]
+        for name, value in (("weight", term.weight), ("scale", term.scale)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} = {value:g} of {term.column}: must be > 0")
+    columns = [term.column for term in terms]
+    columns += [name for goal in objective.goals for name in goal.names]
     beside = [least_scale(term.column) for term in terms if term.scale is None]
     columns += [least[0] for least in beside if least is not None]
-    made = tuple(training_metric(group.case, columns) for group in groups)
-    programs = compile_objective(space, groups, made, terms, goals, risk)
+    metrics = tuple(training_metric(group.case, columns) for group in groups)
     problem = Problem(
         space=space,
         groups=groups,
-        terms=terms,
-        goals=goals,
-        risk=risk,
+        objective=objective,
         weights=np.array([[term.weight for term in terms]], float),
         scales=np.ones(len(terms)),
         penalty=PENALTY,
         width=width,
-        programs=programs,
+        programs=compile_objective(space, groups, metrics, objective),
         data=tuple((group.batch.scenario, group.batch.path) for group in groups),
         before=None,
     )
@@ -140,7 +169,7 @@ def _refuse_lost(problem: Problem, before: Evaluation) -> None:
 
 
 def _refuse_undefined(problem: Problem, before: Evaluation) -> None:
-    """A figure without value in a run that is not lost has none in any search."""
+    """A metric without value in a run that is not lost has none in any search."""
     kept = np.isnan(before.lost_at_s[0])
     for name, value in before.columns.items():
         missing = np.flatnonzero(kept & ~np.isfinite(value[0]))
@@ -152,18 +181,29 @@ def _refuse_undefined(problem: Problem, before: Evaluation) -> None:
 
 
 def scales_of(problem: Problem, before: Evaluation) -> np.ndarray:
-    """What counts as 1 of each term, (terms,). before: the gains before, at scales of 1."""
+    """Normalisation of the terms: what counts as 1 of each.
+
+    Args:
+        problem: whose terms may say so themselves.
+        before: the gains before, at scales of 1.
+
+    Returns:
+        (terms,), in the unit of each column.
+
+    Raises:
+        ValueError: a scale is not positive.
+    """
     each = np.concatenate([group.weights for group in problem.groups])
     scales = []
 
-    def mean_of(column: str) -> float:
+    def rms(column: str) -> float:
         return math.sqrt(np.average(before.columns[column][0] ** 2, weights=each))
 
-    for term in problem.terms:
+    for term in problem.objective.terms:
         own, least = term.scale, least_scale(term.column)
         if own is None:
-            own = mean_of(term.column)
-            own = own if least is None else max(own, least[1] * mean_of(least[0]))
+            own = rms(term.column)
+            own = own if least is None else max(own, least[1] * rms(least[0]))
         if not (math.isfinite(own) and own > 0):
             raise ValueError(f"{term.column} is {own:g} before tuning: give it a scale")
         scales.append(own)
@@ -171,53 +211,74 @@ def scales_of(problem: Problem, before: Evaluation) -> np.ndarray:
 
 
 def with_weights(problem: Problem, weights: np.ndarray) -> Problem:
-    """The problem whose start r is minimised with row r of weights (k, terms)."""
-    weights = np.asarray(weights, float)
-    good = weights.ndim == 2 and weights.shape[1] == len(problem.terms)
+    """The problem whose start r is minimised with row r of the weights.
+
+    Args:
+        problem: of any weights.
+        weights: (k, terms), >= 0.
+
+    Raises:
+        ValueError: of another shape, negative, or a row of zeros.
+    """
+    weights, terms = np.asarray(weights, float), len(problem.objective.terms)
+    good = weights.ndim == 2 and weights.shape[1] == terms
     if not good or not np.all(weights >= 0) or not np.all(weights.sum(axis=1) > 0):
-        raise ValueError(f"weights must be (starts, {len(problem.terms)}), >= 0, no row all 0")
+        raise ValueError(f"weights must be (starts, {terms}), >= 0, no row all 0")
     return problem._replace(weights=weights)
 
 
-def _arguments(problem: Problem, rows: np.ndarray) -> tuple[Any, ...]:
-    weights = problem.weights[rows if len(problem.weights) > 1 else np.zeros_like(rows)]
-    numbers = (weights, problem.scales, problem.penalty)
-    return *map(jnp.asarray, numbers), problem.data
-
-
-def _rows(z: np.ndarray, rows: np.ndarray | None) -> np.ndarray:
-    return np.zeros(len(z), int) if rows is None else np.asarray(rows, int)
+def _arguments(problem: Problem, rows: np.ndarray | None, count: int) -> tuple[Any, ...]:
+    """Weights (count, terms), scales, penalty and data, as the programs take them."""
+    one = rows is None or len(problem.weights) == 1
+    weights = problem.weights[np.zeros(count, int) if one else np.asarray(rows, int)]
+    return *map(jnp.asarray, (weights, problem.scales, problem.penalty)), problem.data
 
 
 def evaluate(problem: Problem, z: np.ndarray, rows: np.ndarray | None = None) -> Evaluation:
-    """Candidates z (m, n) in all training runs, `width` at once. rows: the start of each."""
-    parts, rows = [], _rows(z, rows)
+    """Simulate candidates in all training runs, `Problem.width` at once.
+
+    Args:
+        problem: training runs and objective.
+        z: candidates, (m, n).
+        rows: the start of each, (m,); None: the first.
+    """
+    parts = []
     for first in range(0, len(z), problem.width):
         index = np.minimum(np.arange(first, first + problem.width), len(z) - 1)
-        found = problem.programs.evaluate(jnp.asarray(z[index]), *_arguments(problem, rows[index]))
+        own = _arguments(problem, None if rows is None else np.asarray(rows)[index], len(index))
+        batch = problem.programs.evaluate(jnp.asarray(z[index]), *own)
         kept = min(problem.width, len(z) - first)
-        parts.append(jax.tree.map(lambda x: np.asarray(x, float)[:kept], found))  # noqa: B023
+        parts.append(jax.tree.map(lambda x, kept=kept: np.asarray(x, float)[:kept], batch))
     return Evaluation(*jax.tree.map(lambda *x: np.concatenate(x), *parts))
 
 
 def value_and_grad(problem: Problem, z: np.ndarray, rows: np.ndarray | None = None) -> ValueAndGrad:
-    """Objective and gradient of z (m, n), reverse mode."""
-    found = problem.programs.value_and_grad(jnp.asarray(z), *_arguments(problem, _rows(z, rows)))
-    return ValueAndGrad(*(np.asarray(x, float) for x in found))
+    """Objective and gradient of candidates z (m, n) by reverse mode. rows: as in `evaluate`."""
+    arguments = _arguments(problem, rows, len(z))
+    fields = problem.programs.value_and_grad(jnp.asarray(z), *arguments)
+    return ValueAndGrad(*(np.asarray(x, float) for x in fields))
 
 
 def gauss_newton_model(
     problem: Problem, z: np.ndarray, rows: np.ndarray | None = None
 ) -> GaussNewtonModel:
-    """Objective, gradient and Gauss-Newton matrix of z (m, n), forward mode."""
-    found = problem.programs.gauss_newton_model(
-        jnp.asarray(z), *_arguments(problem, _rows(z, rows))
-    )
-    return GaussNewtonModel(*(np.asarray(x, float) for x in found))
+    """Quadratic model at candidates z (m, n) by forward mode. rows: as in `evaluate`."""
+    arguments = _arguments(problem, rows, len(z))
+    fields = problem.programs.gauss_newton_model(jnp.asarray(z), *arguments)
+    return GaussNewtonModel(*(np.asarray(x, float) for x in fields))
 
 
 def directional(problem: Problem, z: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Slope of the cost of each run at one z (n,) along directions (d, n), (d, runs); forward."""
-    arguments = _arguments(problem, np.zeros(1, int))
-    found = problem.programs.directional(jnp.asarray(z)[None], jnp.asarray(directions), *arguments)
-    return np.asarray(found, float)[:, 0]
+    """Directional derivatives of the cost of each run, by forward mode.
+
+    Args:
+        problem: training runs and objective.
+        z: where, (n,).
+        directions: (d, n).
+
+    Returns:
+        (d, runs).
+    """
+    arguments = _arguments(problem, None, 1)
+    slopes = problem.programs.directional(jnp.asarray(z)[None], jnp.asarray(directions), *arguments)
+    return np.asarray(slopes, float)[:, 0]

@@ -1,4 +1,4 @@
-"""Training runs: a case with drawn values and seeds, run together in one batch."""
+"""Training runs: a case with drawn values and random keys, simulated together in one batch."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -19,8 +19,15 @@ MARGIN_WEIGHT = 0.05
 
 
 class RunGroup(NamedTuple):
-    """Training runs of one contour and horizon. case: its gains are those before. weights: how much
-    each run counts, (runs,)."""
+    """Training runs of one contour and horizon.
+
+    Attributes:
+        name: of the case, for people.
+        case: its gains are those before.
+        batch: scenario and motion of the runs.
+        runs: how many.
+        weights: how much each run counts, (runs,).
+    """
 
     name: str
     case: Case
@@ -30,27 +37,29 @@ class RunGroup(NamedTuple):
 
 
 def make_group(
-    name: str,
-    case: Case,
-    values: Mapping[str, np.ndarray],
-    seeds: np.ndarray,
-    margin: float = 0.0,
-    weight: float = 1.0,
+    name: str, case: Case, values: Mapping[str, np.ndarray], seeds: np.ndarray, margin: float = 0.0
 ) -> RunGroup:
-    """Training runs of a case: drawn values path -> (runs, *shape) and seeds (runs,).
+    """Training runs of a case, with a gain margin.
 
-    weight: how much each run counts. margin: x adds two runs of the first plant whose drive gives
-    1 - x and 1 + x times what is commanded, so that gains near the edge of stability are lost in
-    training; as long as they hold they count `MARGIN_WEIGHT` of the others. Raises ValueError for
-    what cannot be simulated.
+    A margin x adds two runs of the first plant whose drive gives 1 - x and 1 + x times what is
+    commanded, so that gains near the edge of stability are lost in training. As long as they hold
+    they count `MARGIN_WEIGHT` of the others.
+
+    Args:
+        name: of the group.
+        case: loop, gains before, nominal scenario and motion.
+        values: path -> drawn values (runs, *shape), SI.
+        seeds: of the random keys, (runs,).
+        margin: x, 0..1.
+
+    Raises:
+        ValueError: in one line, for what cannot be simulated.
     """
     if not 0 <= margin < 1:
         raise ValueError(f"margin = {margin:g}: must be in 0..1")
-    if not weight > 0:
-        raise ValueError(f"weight = {weight:g} of {name}: must be > 0")
-    weights = np.full(len(seeds), float(weight))
+    weights = np.ones(len(seeds))
     if margin:
-        weights = np.append(weights, [MARGIN_WEIGHT * weight] * 2)
+        weights = np.append(weights, [MARGIN_WEIGHT] * 2)
         loop = replace(case.loop, drive=amplified(case.loop.drive))
         params = Amplified(factor=jnp.ones(()), drive=case.scenario.drive)
         case = case._replace(loop=loop, scenario=replace(case.scenario, drive=params))
@@ -65,6 +74,7 @@ def make_group(
 def _behind_amplifier(
     values: Mapping[str, np.ndarray], margin: float, runs: int
 ) -> dict[str, np.ndarray]:
+    """The values of all runs and of the two with a wrong gain."""
     moved = {
         f"drive.{path}" if path.startswith("drive.") else path: np.append(v, v[[0, 0]], axis=0)
         for path, v in values.items()

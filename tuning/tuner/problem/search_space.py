@@ -1,10 +1,10 @@
-"""What is tuned: gains by path, symbol or part, each in its box, as one unconstrained vector.
+"""Search space: gains by path, symbol or part, each in its box, as one unconstrained vector z.
 
 The box of a setting is the user's, else the study's, else a factor around the value before, always
 within the range of the field. Labels name every coordinate.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -21,14 +21,19 @@ from tuning.uncertainty.uncertain_space import element_names
 FACTOR = 10.0
 #: where not all are positive: so many times the largest magnitude to either side
 SIGNED = 2.0
+#: full path of a gain -> its quantity and value
+Known = Mapping[str, tuple[Quantity, Any]]
 
 
 class Search(NamedTuple):
-    """What a user says of a setting.
+    """What a user says of a setting. None: the default.
 
-    name: path, unique suffix or symbol of a setting, or a part with all gains below it. low, high:
-    the box, SI, of every element. tied: one number moves all its elements together. fixed: it
-    keeps its value though a part that holds it is searched. None: the default.
+    Attributes:
+        name: path, unique suffix or symbol of a setting, or a part with all gains below it.
+        low, high: bounds of every element, SI.
+        transform: of `TRANSFORMS`.
+        tied: one number moves all its elements together.
+        fixed: it keeps its value though a part that holds it is searched.
     """
 
     name: str
@@ -40,7 +45,19 @@ class Search(NamedTuple):
 
 
 class SearchedGain(NamedTuple):
-    """One searched setting. low, high, before: in its shape. first, count: its coordinates."""
+    """One searched setting.
+
+    Attributes:
+        path: full path, such as ``gains.slope``.
+        symbol: as the source of the law writes it.
+        unit: SI.
+        transform: from its coordinates to its value.
+        low, high: the box, in its shape.
+        before: its value before, in its shape.
+        labels: of its elements.
+        tied: one coordinate moves all elements.
+        first, count: its coordinates within z.
+    """
 
     path: str
     symbol: str
@@ -73,7 +90,12 @@ class SearchedGain(NamedTuple):
 
 
 class SearchSpace(NamedTuple):
-    """All that is searched. gains: those before, which hold what is not."""
+    """All that is searched.
+
+    Attributes:
+        gains: those before, which hold what is not searched.
+        entries: the searched settings.
+    """
 
     gains: Any
     entries: tuple[SearchedGain, ...]
@@ -111,8 +133,18 @@ class SearchSpace(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """One element of a searched setting. at_bound: within 1 % of an edge of its box, on the scale
-    of its transform."""
+    """One element of a searched setting.
+
+    Attributes:
+        label: path and axis.
+        path: of the setting.
+        index: within the setting.
+        symbol: of the setting.
+        unit: SI.
+        value, before: now and before tuning.
+        low, high: its box.
+        at_bound: within 1 % of an edge of its box, on the scale of its transform.
+    """
 
     label: str
     path: str
@@ -127,28 +159,17 @@ class Parameter(NamedTuple):
 
 
 def parameters(space: SearchSpace, z: np.ndarray) -> tuple[Parameter, ...]:
-    """Every element of what is searched, with its value at z."""
-    found = []
-    for e in space.entries:
-        value = np.asarray(e.value_of(jnp.asarray(z[e.first : e.first + e.count])), float)
-        near = _near_edge(e, value)
-        for index, label in zip(np.ndindex(value.shape), e.labels, strict=True):
-            now, before, low, high = (float(a[index]) for a in (value, e.before, e.low, e.high))
-            found.append(
-                Parameter(
-                    label,
-                    e.path,
-                    index,
-                    e.symbol,
-                    e.unit,
-                    now,
-                    before,
-                    low,
-                    high,
-                    bool(near[index]),
-                )
-            )
-    return tuple(found)
+    """Every element of what is searched, with its value at z (n,)."""
+    return tuple(one for entry in space.entries for one in _elements(entry, z))
+
+
+def _elements(e: SearchedGain, z: np.ndarray) -> Iterator[Parameter]:
+    value = np.asarray(e.value_of(jnp.asarray(z[e.first : e.first + e.count])), float)
+    near = _near_edge(e, value)
+    for index, label in zip(np.ndindex(value.shape), e.labels, strict=True):
+        now, before, low, high = (float(a[index]) for a in (value, e.before, e.low, e.high))
+        where = (label, e.path, index, e.symbol, e.unit)
+        yield Parameter(*where, now, before, low, high, at_bound=bool(near[index]))
 
 
 def _near_edge(entry: SearchedGain, value: np.ndarray) -> np.ndarray:
@@ -164,19 +185,18 @@ def _near_edge(entry: SearchedGain, value: np.ndarray) -> np.ndarray:
 
 def default_searches(case: Case) -> tuple[Search, ...]:
     """The boxes of the study of a case that the loop has; without any, every gain that is not 0."""
-    known = {path: found for path, found in _gains(case).items() if _has_scale(*found)}
+    known = [path for path, quantity in _gains(case).items() if _has_scale(*quantity)]
     boxes = [
         box
         for study in known_studies()
         if any(entry.name == case.name for entry in study.loops)
         for box in study.boxes
     ]
-    found = []
-    for path in known:
-        box = next((b for b in boxes if path.endswith("." + b.path)), None)
-        if box is not None:
-            found.append(Search(path, box.low, box.high, tied=box.tied))
-    return tuple(found) or tuple(map(Search, known))
+    boxed_paths = [
+        (path, next((b for b in boxes if path.endswith("." + b.path)), None)) for path in known
+    ]
+    searches = [Search(path, b.low, b.high, tied=b.tied) for path, b in boxed_paths if b]
+    return tuple(searches) or tuple(map(Search, known))
 
 
 def _has_scale(quantity: Quantity, value: Any) -> bool:
@@ -188,9 +208,15 @@ def _has_scale(quantity: Quantity, value: Any) -> bool:
 def search_space(case: Case, searches: Sequence[Search], factor: float = FACTOR) -> SearchSpace:
     """The space of what is named.
 
-    Raises ValueError, one line, for an empty set, an unknown name, one named twice, bounds the
-    wrong way round or outside of the range of the field, a value outside its box, and a value of 0
-    without a box.
+    Args:
+        case: its gains are those before.
+        searches: what is searched.
+        factor: > 1; of the box around a value that has none of its own.
+
+    Raises:
+        ValueError: in one line, for an empty set, an unknown name, one named twice, bounds the
+            wrong way round or outside of the range of the field, a value outside its box, and a
+            value of 0 without a box.
     """
     if not factor > 1:
         raise ValueError(f"factor = {factor:g}: must be > 1")
@@ -200,19 +226,17 @@ def search_space(case: Case, searches: Sequence[Search], factor: float = FACTOR)
         raise ValueError("nothing to tune: name gains, e.g. c1 (`jaxstage run` shows them)")
     entries: list[SearchedGain] = []
     for path, search in chosen.items():
-        first = sum(entry.count for entry in entries)
-        entries.append(_entry(case, path, *known[path], search, factor, first))
+        entry = _entry(case, path, known[path], search, factor)
+        entries.append(entry._replace(first=sum(one.count for one in entries)))
     return SearchSpace(case.gains, _in_order(entries, known))
 
 
-def _gains(case: Case) -> dict[str, tuple[Quantity, Any]]:
+def _gains(case: Case) -> Known:
     known = known_leaves(case.gains, case.scenario)
-    return {path: found for path, found in known.items() if path.startswith("gains.")}
+    return {path: leaf for path, leaf in known.items() if path.startswith("gains.")}
 
 
-def _chosen(
-    known: Mapping[str, tuple[Quantity, Any]], searches: Sequence[Search]
-) -> dict[str, Search]:
+def _chosen(known: Known, searches: Sequence[Search]) -> dict[str, Search]:
     """Full path -> what is said of it. A setting outweighs the part that holds it."""
     single: dict[str, Search] = {}
     within: dict[str, Search] = {}
@@ -227,7 +251,7 @@ def _chosen(
     return {path: both[path] for path in known if path in both and not both[path].fixed}
 
 
-def _part(known: Mapping[str, tuple[Quantity, Any]], name: str) -> tuple[str, ...]:
+def _part(known: Known, name: str) -> tuple[str, ...]:
     """The gains below a part that is named by path or suffix, without those that are 0."""
     return tuple(
         path
@@ -237,29 +261,29 @@ def _part(known: Mapping[str, tuple[Quantity, Any]], name: str) -> tuple[str, ..
 
 
 def _entry(
-    case: Case, path: str, general: Quantity, value: Any, search: Search, factor: float, first: int
+    case: Case, path: str, leaf: tuple[Quantity, Any], search: Search, factor: float
 ) -> SearchedGain:
-    quantity = in_units_of(general, case.loop.plant.command_unit)
-    before = np.asarray(value, float)
-    names = [element_names(index, before.shape, case) for index in np.ndindex(before.shape)]
-    labels = tuple(" ".join((path, *name)) for name in names)
-    low, high = _box(path, quantity, before, search, factor)
-    transform = search.transform or _suited(low, high)
-    _check_box(path, quantity, before, low, high, transform)
-    count = 1 if search.tied else before.size
-    return SearchedGain(
-        path,
-        quantity.symbol,
-        quantity.unit,
-        transform,
-        low,
-        high,
-        before,
-        labels,
-        search.tied,
-        first,
-        count,
+    quantity, before = (
+        in_units_of(leaf[0], case.loop.plant.command_unit),
+        np.asarray(leaf[1], float),
     )
+    names = [element_names(index, before.shape, case) for index in np.ndindex(before.shape)]
+    low, high = _box(path, quantity, before, search, factor)
+    entry = SearchedGain(
+        path=path,
+        symbol=quantity.symbol,
+        unit=quantity.unit,
+        transform=search.transform or _suited(low, high),
+        low=low,
+        high=high,
+        before=before,
+        labels=tuple(" ".join((path, *name)) for name in names),
+        tied=search.tied,
+        first=0,
+        count=1 if search.tied else before.size,
+    )
+    _check_box(entry, quantity)
+    return entry
 
 
 def _suited(low: np.ndarray, high: np.ndarray) -> Transform:
@@ -299,58 +323,54 @@ def _around(before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.full(before.shape, before[0] - gap), np.full(before.shape, before[-1] + gap)
 
 
-def _check_box(
-    path: str,
-    quantity: Quantity,
-    before: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    transform: Transform,
-) -> None:
-    if np.any(low >= high):
-        at = np.unravel_index(int(np.argmax(low >= high)), low.shape)
-        raise ValueError(f"{path}: low = {low[at]:g} must be below high = {high[at]:g}")
+def _check_box(entry: SearchedGain, quantity: Quantity) -> None:
+    """Refuse a box that is empty, outside of the range of the field, or without the value."""
+    path, low, high, transform = entry.path, entry.low, entry.high, entry.transform
+
+    def first(wrong: np.ndarray, *arrays: np.ndarray) -> list[float]:
+        """The numbers of the first element that is wrong."""
+        at = np.unravel_index(int(np.argmax(wrong)), wrong.shape)
+        return [float(a[at]) for a in arrays]
+
+    if np.any(empty := low >= high):
+        one, other = first(empty, low, high)
+        raise ValueError(f"{path}: low = {one:g} must be below high = {other:g}")
     inside = (low >= quantity.low) & (low >= quantity.above) & (high <= quantity.high)
     if transform != linear and not np.all(inside):
-        at = np.unravel_index(int(np.argmin(inside)), low.shape)
+        one, other = first(~inside, low, high)
         raise ValueError(
-            f"{path}: the box {low[at]:g}..{high[at]:g} leaves the range of the field: "
+            f"{path}: the box {one:g}..{other:g} leaves the range of the field: "
             f"{quantity.range_text()}"
         )
-    out = (before < low) | (before > high)
-    if np.any(out):
-        at = np.unravel_index(int(np.argmax(out)), out.shape)
-        raise ValueError(f"{path} = {before[at]:g} is outside its box {low[at]:g}..{high[at]:g}")
+    if np.any(out := (entry.before < low) | (entry.before > high)):
+        value, one, other = first(out, entry.before, low, high)
+        raise ValueError(f"{path} = {value:g} is outside its box {one:g}..{other:g}")
     if transform == logarithmic and not np.all(low > 0):
         raise ValueError(f"{path}: transform log needs low > 0, got {np.min(low):g}")
-    finite = np.all(np.isfinite(low) & np.isfinite(high))
-    if transform != linear and not finite:
+    if transform != linear and not np.all(np.isfinite(low) & np.isfinite(high)):
         raise ValueError(f"{path}: transform {transform.name} needs low and high")
 
 
-def _in_order(
-    entries: list[SearchedGain], known: Mapping[str, tuple[Quantity, Any]]
-) -> tuple[SearchedGain, ...]:
+def _in_order(entries: list[SearchedGain], known: Known) -> tuple[SearchedGain, ...]:
     """Boxes narrowed so that no value can fall below the one that its field must not fall below."""
-    found = {entry.path: entry for entry in entries}
+    by_path = {entry.path: entry for entry in entries}
     for path, (quantity, value) in known.items():
         if not quantity.at_least:
             continue
         other = f"{path.rpartition('.')[0]}.{quantity.at_least}"
         upper, lower = np.asarray(value, float), np.asarray(known[other][1], float)
-        if path in found and other in found:
+        if path in by_path and other in by_path:
             lower = upper = (lower + upper) / 2
-        if path in found:
-            found[path] = _narrowed(found[path], np.maximum(found[path].low, lower), None)
-        if other in found:
-            found[other] = _narrowed(found[other], None, np.minimum(found[other].high, upper))
-    return tuple(found.values())
+        if path in by_path:
+            one = by_path[path]
+            by_path[path] = _narrowed(one._replace(low=np.maximum(one.low, lower)))
+        if other in by_path:
+            one = by_path[other]
+            by_path[other] = _narrowed(one._replace(high=np.minimum(one.high, upper)))
+    return tuple(by_path.values())
 
 
-def _narrowed(entry: SearchedGain, low: np.ndarray | None, high: np.ndarray | None) -> SearchedGain:
-    narrow = entry._replace(
-        low=entry.low if low is None else low, high=entry.high if high is None else high
-    )
-    if np.any(narrow.low >= narrow.high):
+def _narrowed(entry: SearchedGain) -> SearchedGain:
+    if np.any(entry.low >= entry.high):
         raise ValueError(f"{entry.path}: nothing is left of its box beside its neighbour's value")
-    return narrow
+    return entry

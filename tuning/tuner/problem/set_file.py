@@ -1,4 +1,4 @@
-"""The user's file of training and held-out sets."""
+"""The user's file of training and held-out sets (its keys: `default_sets`)."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -20,9 +20,15 @@ class ScenarioSets(NamedTuple):
 
 
 def read_sets(file: Path | None, loop_spec: LoopSpec, case: Case) -> ScenarioSets:
-    """The sets of a file, or the default ones. case: of the loop that is tuned.
+    """The sets of a file, or the default ones.
 
-    Raises ValueError, one line with its place, for anything unknown or out of range.
+    Args:
+        file: as for ``--train``; None: all defaults.
+        loop_spec: the loop that is tuned, and what was said about it.
+        case: the same loop, built.
+
+    Raises:
+        ValueError: in one line with its place, for anything unknown or out of range.
     """
     sets = ScenarioSets(default_training(loop_spec, case), default_held_out(loop_spec, case))
     if file is None:
@@ -31,19 +37,17 @@ def read_sets(file: Path | None, loop_spec: LoopSpec, case: Case) -> ScenarioSet
     for name in toml.values:
         if name.partition(".")[0] not in ScenarioSets._fields:
             raise ValueError(f"{toml.place(name)}: '{name}' is not in [train], [held_out]")
-    return ScenarioSets(*(_read(toml, name, set_) for name, set_ in sets._asdict().items()))
+    return ScenarioSets(*(_read(toml, name, default) for name, default in sets._asdict().items()))
 
 
 def _read(toml: TomlFile, name: str, default: SetSpec) -> SetSpec:
-    given = {
-        key.removeprefix(f"{name}."): value
-        for key, value in toml.values.items()
-        if key.startswith(f"{name}.")
-    }
-    if "contour" in given and "horizons" not in given:  # the timing of a contour then counts
-        default = default._replace(horizons=(), skip=None)
+    """The set of a table of the file."""
+    stem = f"{name}."
+    keys = {k.removeprefix(stem): v for k, v in toml.values.items() if k.startswith(stem)}
     spec = default
-    for key, value in given.items():
+    if "contour" in keys and "horizons" not in keys:  # the timing of a contour then counts
+        spec = spec._replace(horizons=(), skip=None)
+    for key, value in keys.items():
         try:
             if key not in _KEYS:
                 hint = nearest_name(key, _KEYS)
@@ -51,33 +55,32 @@ def _read(toml: TomlFile, name: str, default: SetSpec) -> SetSpec:
             field, convert = _KEYS[key]
             spec = spec._replace(**{field: convert(key, value)})
         except ValueError as error:
-            raise ValueError(f"{toml.place(f'{name}.{key}')}: [{name}] {error}") from None
-    return _whole(toml.file, name, spec)
-
-
-def _whole(file: Path, name: str, spec: SetSpec) -> SetSpec:
-    if spec.plants + spec.nominal < 1:
-        raise ValueError(f"{file}: [{name}] holds no plant: plants = 0 needs nominal = true")
-    if spec.dealt and spec.plants + spec.nominal < len(spec.contours):
-        raise ValueError(f"{file}: [{name}] fewer plants than contours to deal them to")
-    if spec.plants and not spec.spreads:
-        raise ValueError(f"{file}: [{name}] nothing is uncertain: give [[{name}.spread]] tables")
+            raise ValueError(f"{toml.place(stem + key)}: [{name}] {error}") from None
+    wrong = _contradiction(name, spec)
+    if wrong:
+        raise ValueError(f"{toml.file}: [{name}] {wrong}")
     return spec
 
 
-def _count(least: int) -> Callable[[str, Any], int]:
+def _contradiction(name: str, spec: SetSpec) -> str:
+    """What keys contradict each other, or nothing."""
+    plants = spec.plants + spec.nominal
+    if plants < 1:
+        return "holds no plant: plants = 0 needs nominal = true"
+    if spec.dealt and plants < len(spec.contours):
+        return "fewer plants than contours to deal them to"
+    if spec.plants and not spec.spreads:
+        return f"nothing is uncertain: give [[{name}.spread]] tables"
+    return ""
+
+
+def _count(least: int, most: int = MOST_RUNS) -> Callable[[str, Any], int]:
     def convert(key: str, value: Any) -> int:
-        if type(value) is not int or not least <= value <= MOST_RUNS:
-            raise ValueError(f"{key} = {value}: must be a whole number {least}..{MOST_RUNS}")
+        if type(value) is not int or not least <= value <= most:
+            raise ValueError(f"{key} = {value}: must be a whole number {least}..{most}")
         return value
 
     return convert
-
-
-def _seed(key: str, value: Any) -> int:
-    if type(value) is not int or not 0 <= value < 2**32:
-        raise ValueError(f"{key} = {value}: must be a whole number 0..{2**32 - 1}")
-    return value
 
 
 def _flag(key: str, value: Any) -> bool:
@@ -88,8 +91,7 @@ def _flag(key: str, value: Any) -> bool:
 
 def _time(least: float) -> Callable[[str, Any], float]:
     def convert(key: str, value: Any) -> float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or not (math.isfinite(value) and value >= least):
+        if type(value) not in (int, float) or not (math.isfinite(value) and value >= least):
             raise ValueError(f"{key} = {value}: must be {'> 0' if least else '>= 0'} s")
         return float(value)
 
@@ -129,13 +131,13 @@ def _design(key: str, value: Any) -> str:
     return value
 
 
-#: key of the file -> field of `Wanted`, and what checks it
+#: key of the file -> field of `SetSpec`, and what checks it
 _KEYS: dict[str, tuple[str, Callable[[str, Any], Any]]] = {
     "contour": ("contours", _contours),
     "plants": ("plants", _count(0)),
     "nominal": ("nominal", _flag),
     "noise_seeds": ("noise_seeds", _count(1)),
-    "seed": ("seed", _seed),
+    "seed": ("seed", _count(0, 2**32 - 1)),
     "horizons": ("horizons", _times),
     "skip": ("skip", _time(0.0)),
     "load": ("loads", _tables),
@@ -148,7 +150,11 @@ _KEYS: dict[str, tuple[str, Callable[[str, Any], Any]]] = {
 
 
 def refuse_overlap(sets: ScenarioSets) -> None:
-    """Refuse a held-out set that is the training set. Raises ValueError."""
+    """Refuse a held-out set that is the training set.
+
+    Raises:
+        ValueError: they have the same contours, seed, horizons, spreads and design.
+    """
     same = ("contours", "seed", "horizons", "spreads", "design")
     if all(getattr(sets.train, key) == getattr(sets.held_out, key) for key in same):
         raise ValueError("the held-out set is the training set: give it another seed or contour")

@@ -1,4 +1,4 @@
-"""Machines that are smoother than the exact ones, to search on; results are accepted on those."""
+"""Surrogate machines: smoother than the exact ones, to search on; results are accepted on those."""
 
 from collections.abc import Callable
 
@@ -12,7 +12,11 @@ NONE = "none"
 
 
 def with_creeping(case: Case) -> Case:
-    """Dry friction that creeps in place of sticking. Raises ValueError for a machine without."""
+    """Regularised friction: it creeps in place of sticking.
+
+    Raises:
+        ValueError: the machine has no friction that sticks.
+    """
     plant = case.loop.plant
     if plant != pmsm_table(plant.axes):
         raise ValueError(f"--surrogate creeping: {plant.name} has no dry friction that sticks")

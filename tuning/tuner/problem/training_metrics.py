@@ -1,4 +1,4 @@
-"""Figures of training runs as arrays that can be differentiated, and only those that are asked for.
+"""Differentiable metrics of training runs, and only those that are asked for.
 
 Columns are those of a sweep, in display units. Root mean squares that a search usually minimises
 are summed up for each of `PIECES` pieces of a run, so that least squares sees the error of each
@@ -6,7 +6,7 @@ piece and not one number. Nothing else is stored of a run.
 
 | column | definition |
 |---|---|
-| of the report | as in ``jaxstage run``; a figure of several axes under its bare key is their RMS |
+| of the report | as in ``jaxstage run``; a metric of several axes under its bare key is their RMS |
 | `contour_smooth_max_um` | (mean eps^16)^(1/16): like the largest, but every peak counts |
 | `command_change_rms_A` | RMS change of the command per period, in the unit of the command |
 | `growth` | RMS |r - x| of the last third over that of the middle third: 1 in a steady run |
@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxstage.metrics import selected, together
@@ -45,10 +44,12 @@ GROWTH = "growth"
 
 @definition
 class MeanSquare:
-    """A column that is the root of the mean of something squared.
+    """A column that is the root of a mean square.
 
-    name: of its sums. scale: display units in one SI unit. of(sample, last command) -> (), SI; of
-    several axes their mean.
+    Attributes:
+        name: of its sums.
+        scale: display units in one SI unit.
+        of: (sample, last command) -> (), SI; of several axes their mean.
     """
 
     name: str
@@ -83,10 +84,12 @@ CHANGE = MeanSquare(name="change", scale=1.0, of=_change)
 
 
 class TrainingMetric(NamedTuple):
-    """How the columns that are asked for come about.
+    """The metric of training runs, for the columns that are asked for.
 
-    columns: their names. known: every column there is -> the metric whose report holds it, or "".
-    metric: what the runs compute.
+    Attributes:
+        columns: their names.
+        known: every column there is -> the metric whose report holds it, or "".
+        metric: what the runs compute.
     """
 
     columns: tuple[str, ...]
@@ -96,33 +99,39 @@ class TrainingMetric(NamedTuple):
 
 def available_columns(case: Case) -> dict[str, str]:
     """Every column of the runs of a case -> the name of its metric, "" for the tuner's own."""
-    report = _shapes(case, case.metric)
-    found = {}
-    for name, part in report.items():
-        found |= dict.fromkeys(_arrays(part, case.loop.plant), name)
-    found |= dict.fromkeys(_squares(case), "")
-    return found | {GROWTH: ""} | ({SMOOTH_MAX: ""} if _has_contour(report) else {})
+    report, plant = _shapes(case, case.metric), case.loop.plant
+    known = {column: name for name, part in report.items() for column in _arrays(part, plant)}
+    own = (*_mean_squares(case), GROWTH, *((SMOOTH_MAX,) if _on_contour(report) else ()))
+    return known | dict.fromkeys(own, "")
 
 
 def training_metric(case: Case, columns: Iterable[str]) -> TrainingMetric:
-    """The light metric of a case that gives these columns. Raises ValueError for an unknown one."""
-    known, wanted = available_columns(case), tuple(dict.fromkeys(columns))
-    squares = _squares(case)
-    for name in wanted:
+    """The lightest metric of a case that gives some columns.
+
+    Args:
+        case: whose runs it measures.
+        columns: their names.
+
+    Raises:
+        ValueError: one is unknown.
+    """
+    known, names = available_columns(case), tuple(dict.fromkeys(columns))
+    squares = _mean_squares(case)
+    for name in names:
         if name not in known:
             raise ValueError(f"unknown column '{name}'{nearest_name(name, known)}")
-    metrics = tuple(dict.fromkeys(known[n] for n in wanted if known[n] and n not in squares))
-    kept = tuple(dict.fromkeys(squares[n] for n in wanted if n in squares))
+    metrics = tuple(dict.fromkeys(known[n] for n in names if known[n] and n not in squares))
+    kept = tuple(dict.fromkeys(squares[n] for n in names if n in squares))
     own = [pieces(kept, case.window)] if kept else []
-    own += [growth(case.window.ticks)] if GROWTH in wanted else []
+    own += [growth(case.window.ticks)] if GROWTH in names else []
     light = [selected(case.metric, metrics)] if metrics else []
-    light += [smooth_max] if SMOOTH_MAX in wanted else []
+    light += [smooth_max] if SMOOTH_MAX in names else []
     own += [scored(together(*light), case.window)] if light else []
-    return TrainingMetric(wanted, known, together(*own))
+    return TrainingMetric(names, known, together(*own))
 
 
 def least_scale(column: str) -> tuple[str, float] | None:
-    """The figure, and the share of it, that an automatic scale of a column is at least; or None.
+    """Floor of the automatic scale of a column: (metric, share of it), or None.
 
     A command that is smooth before must not make its own smoothness the price of all accuracy.
     """
@@ -138,17 +147,16 @@ def _shapes(case: Case, metric: Metric) -> dict[str, Any]:
     return jax.tree.map(lambda x: jnp.zeros((1, *x.shape), x.dtype), shapes)
 
 
-def _has_contour(report: dict[str, Any]) -> bool:
+def _on_contour(report: dict[str, Any]) -> bool:
     return "contour" in report
 
 
-def _squares(case: Case) -> dict[str, MeanSquare]:
+def _mean_squares(case: Case) -> dict[str, MeanSquare]:
     """Column -> what it is the root mean square of."""
-    plant = case.loop.plant
-    unit = plant.command_unit
+    unit = case.loop.plant.command_unit
     table = {key("command_rms", unit): COMMAND, key("command_change_rms", unit): CHANGE}
     table["following_rms_um"] = FOLLOWING
-    if _has_contour(_shapes(case, case.metric)):
+    if _on_contour(_shapes(case, case.metric)):
         table["contour_rms_um"] = CONTOUR
     return table
 
@@ -157,7 +165,7 @@ def _squares(case: Case) -> dict[str, MeanSquare]:
 
 
 class _Sums(NamedTuple):
-    """last: command before, (axes,). squares: (pieces,) of each `Squared`, SI."""
+    """last: command before, (axes,). squares: (pieces,) of each `MeanSquare`, SI."""
 
     last: Array
     squares: dict[str, Array]
@@ -168,7 +176,12 @@ def pieces(squared: tuple[MeanSquare, ...], window: Window) -> Metric:
     """What each piece of the window adds to mean squares: name -> (pieces,), SI.
 
     It looks at the window itself, and not through `scored`: the first change of the command in it
-    is from the period before."""
+    is from the period before.
+
+    Args:
+        squared: what is summed up.
+        window: ticks that count.
+    """
     ticks = window.stop - window.start
     length = -(-ticks // PIECES)
     count = -(-ticks // length)
@@ -203,7 +216,7 @@ class _Peaks(NamedTuple):
 
 @pytree
 class SmoothMax:
-    """The contour error, its peaks above all."""
+    """Power mean of the contour error: its peaks above all."""
 
     contour_smooth_max: Array = signal("m", "", "(mean eps^16)^(1/16)", shown="um")
 
@@ -257,7 +270,7 @@ def growth(ticks: int) -> Metric:
 
 
 def _arrays(report: Any, plant: Plant) -> dict[str, Array]:
-    """Figures of a batch by column, leaves (lanes,) or (lanes, axes), in display units."""
+    """Metrics of a batch by column, leaves (lanes,) or (lanes, axes), in display units."""
     table = {}
     for path, general, value in leaves(report):
         quantity = in_units_of(general, plant.command_unit)
@@ -273,26 +286,32 @@ def _arrays(report: Any, plant: Plant) -> dict[str, Array]:
 
 
 class MetricColumns(NamedTuple):
-    """columns: (lanes,) each. pieces: column -> (lanes, pieces), whose squares add up to that of
-    the column; for columns that are a root mean square."""
+    """Metrics of a batch of runs, in display units.
+
+    Attributes:
+        columns: (lanes,) each.
+        pieces: of a column that is a root mean square, (lanes, pieces), whose squares add up to
+            that of the column.
+    """
 
     columns: dict[str, Array]
     pieces: dict[str, Array]
 
 
-def metric_columns(case: Case, made: TrainingMetric, report: Any) -> MetricColumns:
-    """The columns of a batch of runs. report: of `rollouts` with the metric of a recipe; no NaN."""
+def training_columns(case: Case, metric: TrainingMetric, report: Any) -> MetricColumns:
+    """The columns of a batch of runs.
+
+    Args:
+        case: of the runs.
+        metric: that they computed.
+        report: of `rollouts`; no NaN.
+    """
     table = _arrays(report["scored"], case.loop.plant) if "scored" in report else {}
-    squares, found = _squares(case), {}
-    for name in made.columns:
+    squares, parts = _mean_squares(case), {}
+    for name in metric.columns:
         if name in squares:
-            found[name] = root(report["pieces"][squares[name].name]) * squares[name].scale
-            table[name] = root(jnp.sum(found[name] ** 2, axis=-1))
-    if GROWTH in made.columns:
+            parts[name] = root(report["pieces"][squares[name].name]) * squares[name].scale
+            table[name] = root(jnp.sum(parts[name] ** 2, axis=-1))
+    if GROWTH in metric.columns:
         table[GROWTH] = report["growth"]
-    return MetricColumns({name: table[name] for name in made.columns}, found)
-
-
-def as_numbers(columns: dict[str, Array]) -> dict[str, np.ndarray]:
-    """Columns on the host."""
-    return {name: np.asarray(value, float) for name, value in columns.items()}
+    return MetricColumns({name: table[name] for name in metric.columns}, parts)

@@ -1,4 +1,4 @@
-"""From an unconstrained number to a value inside its box, and back.
+"""Reparametrisation: an unconstrained number z as a value inside its box, and back.
 
 | name | value | one unit of z |
 |---|---|---|
@@ -27,17 +27,24 @@ SMALLEST_GAP = 1e-3
 
 @definition
 class Transform:
-    """forward(z, low, high, before) -> values, traceable; inverse(values, low, high, before) -> z,
-    on the host. All in the shape of the leaf."""
+    """A bijection between the real numbers and a box.
+
+    All arrays have the shape of the setting.
+
+    Attributes:
+        name: as files and options call it.
+        forward: (z, low, high, before) -> values; traceable.
+        inverse: (values, low, high, before) -> z; on the host.
+    """
 
     name: str
     forward: Callable[[Array, np.ndarray, np.ndarray, np.ndarray], Array]
     inverse: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
-def _share(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Where a value stands in its box, -EDGE..EDGE."""
-    return np.clip((2 * value - low - high) / (high - low), -EDGE, EDGE)
+def _atanh_in_box(value: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """artanh of where a value stands in its box, -EDGE..EDGE."""
+    return np.arctanh(np.clip((2 * value - low - high) / (high - low), -EDGE, EDGE))
 
 
 def _log_forward(z: Array, low: np.ndarray, high: np.ndarray, before: np.ndarray) -> Array:
@@ -48,8 +55,7 @@ def _log_forward(z: Array, low: np.ndarray, high: np.ndarray, before: np.ndarray
 def _log_inverse(
     value: np.ndarray, low: np.ndarray, high: np.ndarray, before: np.ndarray
 ) -> np.ndarray:
-    half = np.log(high / low) / 2
-    return half * np.arctanh(_share(np.log(value), np.log(low), np.log(high)))
+    return np.log(high / low) / 2 * _atanh_in_box(np.log(value), np.log(low), np.log(high))
 
 
 def _boxed_forward(z: Array, low: np.ndarray, high: np.ndarray, before: np.ndarray) -> Array:
@@ -60,7 +66,7 @@ def _boxed_forward(z: Array, low: np.ndarray, high: np.ndarray, before: np.ndarr
 def _boxed_inverse(
     value: np.ndarray, low: np.ndarray, high: np.ndarray, before: np.ndarray
 ) -> np.ndarray:
-    return 2 * np.arctanh(_share(value, low, high))
+    return 2 * _atanh_in_box(value, low, high)
 
 
 def _scale(before: np.ndarray) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""What gradients cost, in units of one evaluation of the objective in all training runs.
+"""Cost model: what derivatives cost, in simulations of the whole training set.
 
-One unit is one candidate of a full batch of plain evaluations. A gradient (reverse mode) and a
-Jacobian (forward mode) are charged with the time that the compiled program takes for it, over that
-of a unit: measured once, without compilation, the fastest of `REPEATS` calls each, taken in turn.
-On a CPU it is processor time, which other programs on the machine disturb less than the clock.
+One simulation is one candidate of a full batch of plain evaluations. A gradient (reverse mode) and
+a Jacobian (forward mode) cost the time that their compiled program takes, over that of a
+simulation: measured once, without compilation, the fastest of `REPEATS` calls each, in turn. On a
+CPU it is processor time, which other programs on the machine disturb less than the clock.
 """
 
 import math
@@ -20,40 +20,46 @@ REPEATS = 3
 
 
 class CostModel(NamedTuple):
-    """Units of one gradient and one Jacobian of one candidate; NaN where it is not needed. unit_s:
-    seconds of a unit, by the same clock."""
+    """Simulations that derivatives of one candidate cost; NaN for those that nobody needs.
+
+    Attributes:
+        gradient: reverse-mode gradient, in simulations.
+        gauss_newton: forward-mode Jacobian, in simulations.
+        simulation_s: one simulation, in seconds of the same clock.
+    """
 
     gradient: float
-    curvature: float
+    gauss_newton: float
     simulation_s: float
 
 
 def measure_cost_model(problem: Problem, needs: str, starts: int = 1) -> CostModel:
-    """The prices of what a method needs beside values: "", "slopes" or "curvatures".
+    """Time the compiled programs at the gains before.
 
-    starts: candidates of one call.
+    Args:
+        problem: whose programs are timed.
+        needs: the derivatives that a method asks for, see `method.Derivatives`.
+        starts: candidates of one call.
     """
-    z = problem.space.start()
+    z = problem.space.start()[None]
     clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
-    asked: dict[str, Callable[[], object]] = {
-        "": lambda: evaluate(problem, np.repeat(z[None], problem.width, axis=0))
-    }
-    many = np.repeat(z[None], starts, axis=0)
-    if needs == "slopes":
-        asked[needs] = lambda: value_and_grad(problem, many)
-    if needs == "curvatures":
-        asked[needs] = lambda: gauss_newton_model(problem, many)
-    for ask in asked.values():
-        ask()
-    best = dict.fromkeys(asked, math.inf)
+    full, many = np.repeat(z, problem.width, axis=0), np.repeat(z, starts, axis=0)
+    calls: dict[str, Callable[[], object]] = {"": lambda: evaluate(problem, full)}
+    if needs == "gradient":
+        calls[needs] = lambda: value_and_grad(problem, many)
+    if needs == "gauss_newton":
+        calls[needs] = lambda: gauss_newton_model(problem, many)
+    for call in calls.values():
+        call()
+    fastest = dict.fromkeys(calls, math.inf)
     for _ in range(REPEATS):
-        for name, ask in asked.items():
+        for name, call in calls.items():
             begin = clock()
-            ask()
-            best[name] = min(best[name], clock() - begin)
-    unit = best[""] / problem.width
+            call()
+            fastest[name] = min(fastest[name], clock() - begin)
+    simulation = fastest[""] / problem.width
 
-    def price(name: str) -> float:
-        return round(best[name] / starts / unit, 1) if name in best else math.nan
+    def cost(name: str) -> float:
+        return round(fastest[name] / starts / simulation, 1) if name in fastest else math.nan
 
-    return CostModel(price("slopes"), price("curvatures"), unit)
+    return CostModel(cost("gradient"), cost("gauss_newton"), simulation)

@@ -1,12 +1,13 @@
-"""Every evaluation of a tuning, kept: what was asked, what came back, how long it took.
+"""Evaluation log: every evaluation of a search on disk, so that a stopped search can go on.
 
-A method depends on nothing but the answers that it gets. So a tuning that was stopped, by whatever,
-is taken up by running it again with the answers that are kept: it asks the same questions, gets the
-same answers without simulating, and goes on where none is kept. One file an answer, whole or
-absent:
+A method depends on nothing but the answers of its oracle (deterministic replay). A search that was
+stopped, by whatever, is run again: it asks the same questions, gets the logged answers without
+simulating, and simulates from where the log ends. One file an answer, whole or absent:
 
     FOLDER/00000.npz    what is tuned
-    FOLDER/00001.npz    the first answer
+    FOLDER/00001.npz    the cost model
+    FOLDER/00002.npz    the first answer
+
 """
 
 import hashlib
@@ -27,44 +28,54 @@ from tuning.tuner.problem.problem import Problem
 Answer = dict[str, np.ndarray]
 
 
-def keep(
-    folder: Path | None, index: int, question: str, ask: Callable[[], Mapping[str, Any]]
+def logged(
+    folder: Path | None, index: int, question: str, compute: Callable[[], Mapping[str, Any]]
 ) -> tuple[Answer, float]:
-    """The kept answer to the index-th question, or a new one, and the seconds that it took.
+    """The logged answer to a question, else a new one, which is logged.
 
-    Raises ValueError when the folder holds the answer to another question.
+    Args:
+        folder: of the log; None keeps nothing.
+        index: of the question in the search, from 0.
+        question: its `digest`.
+        compute: gives a new answer: arrays by name.
+
+    Returns:
+        The answer, and the seconds that it took when it was computed.
+
+    Raises:
+        ValueError: the folder holds the answer to another question.
     """
     file = None if folder is None else folder / f"{index:05d}.npz"
-    kept = None if file is None else _read(file)
-    if kept is not None:
-        if str(kept.pop("question")) != question:
+    record = None if file is None else _read(file)
+    if record is not None:
+        if str(record.pop("question")) != question:
             raise ValueError(
                 f"{folder} holds the evaluations of another tuning (the first that differs is "
                 f"{index}): give another folder"
             )
-        return kept, float(kept.pop("seconds"))
+        return record, float(record.pop("seconds"))
     begin = time.perf_counter()
-    answer = {name: np.asarray(value) for name, value in ask().items()}
+    answer = {name: np.asarray(value) for name, value in compute().items()}
     seconds = time.perf_counter() - begin
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         data = io.BytesIO()
-        record: dict[str, Any] = {"question": question, "seconds": seconds, **answer}
-        np.savez(data, **record)
+        written: dict[str, Any] = {"question": question, "seconds": seconds, **answer}
+        np.savez(data, **written)
         write_whole(file, data.getvalue())
     return answer, seconds
 
 
 def _read(file: Path) -> Answer | None:
     try:
-        with np.load(file, allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
+        with np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
     except (FileNotFoundError, zipfile.BadZipFile, ValueError, OSError):
         return None
 
 
 def digest(*parts: Any) -> str:
-    """The name of a question: of texts, numbers and arrays."""
+    """SHA-256 (first 128 bits) of texts, numbers and arrays: the name of a question."""
     total = hashlib.sha256()
     for part in parts:
         raw = part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode()
@@ -73,7 +84,7 @@ def digest(*parts: Any) -> str:
 
 
 def fingerprint(problem: Problem) -> str:
-    """The name of a problem: what is searched, in what runs, for what."""
+    """`digest` of a problem: what is searched, in what runs, for what objective."""
     space = [
         (e.path, e.transform.name, e.tied, part.tobytes())
         for e in problem.space.entries
@@ -83,17 +94,10 @@ def fingerprint(problem: Problem) -> str:
         (g.name, g.case.name, g.case.loop.dt, g.case.window, g.weights.tobytes(), g.runs)
         for g in problem.groups
     ]
-    goals = [goal.text for goal in problem.goals]
-    return digest(
-        space,
-        runs,
-        problem.terms,
-        goals,
-        problem.risk.name,
-        problem.weights,
-        problem.scales,
-        *(_plain(leaf) for leaf in jax.tree.leaves((problem.space.gains, problem.data))),
-    )
+    terms, goals, risk = problem.objective
+    numbers = problem.weights, problem.scales
+    leaves = map(_plain, jax.tree.leaves((problem.space.gains, problem.data)))
+    return digest(space, runs, terms, [goal.text for goal in goals], risk.name, *numbers, *leaves)
 
 
 def _plain(leaf: Any) -> np.ndarray:

@@ -1,7 +1,8 @@
-"""First-order methods of optax, for those who know the step that suits their loop."""
+"""First-order methods of optax (Adam, ...), for those who know the step that suits their loop."""
 
 import functools
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import optax
@@ -11,9 +12,19 @@ from tuning.tuner.search.method import Method, Oracle
 
 
 class FirstOrderState(NamedTuple):
-    """memory: of the optimiser. point: where it is; z, value: the best so far."""
+    """Iterates of an optax optimiser.
 
-    memory: Any
+    Attributes:
+        memory: of the optimiser, such as moments.
+        point: iterates, (k, n).
+        gradient: dJ/dz there, 0 where it is not finite, (k, n).
+        z: best points so far, (k, n).
+        value: J there, (k,).
+        gradient_norm: of the iterates, (k,).
+        done: never, (k,).
+    """
+
+    memory: optax.OptState
     point: np.ndarray
     gradient: np.ndarray
     z: np.ndarray
@@ -22,7 +33,7 @@ class FirstOrderState(NamedTuple):
     done: np.ndarray
 
 
-def _sound(gradient: np.ndarray) -> np.ndarray:
+def _finite_or_zero(gradient: np.ndarray) -> np.ndarray:
     """The gradient, 0 for a start where it is not finite."""
     finite = np.isfinite(gradient).all(axis=1, keepdims=True)
     return np.where(finite, gradient, 0.0)
@@ -31,17 +42,11 @@ def _sound(gradient: np.ndarray) -> np.ndarray:
 def _begin(
     optimiser: optax.GradientTransformation, oracle: Oracle, starts: np.ndarray, seed: int
 ) -> FirstOrderState:
-    found = oracle.value_and_grad(starts, np.arange(len(starts)))
-    norm = np.linalg.norm(found.gradient, axis=1)
-    return FirstOrderState(
-        memory=optimiser.init(starts),
-        point=starts,
-        gradient=_sound(found.gradient),
-        z=starts,
-        value=found.objective,
-        gradient_norm=norm,
-        done=np.zeros(len(starts), bool),
-    )
+    here = oracle.value_and_grad(starts, np.arange(len(starts)))
+    norm = np.linalg.norm(here.gradient, axis=1)
+    gradient, none = _finite_or_zero(here.gradient), np.zeros(len(starts), bool)
+    memory = optimiser.init(starts)
+    return FirstOrderState(memory, starts, gradient, starts, here.objective, norm, none)
 
 
 def _step(
@@ -49,16 +54,15 @@ def _step(
 ) -> FirstOrderState:
     moves, memory = optimiser.update(state.gradient, state.memory, state.point)
     point = np.asarray(optax.apply_updates(state.point, moves), float)
-    found = oracle.value_and_grad(point, np.arange(len(point)))
-    better = found.objective < state.value
-    return FirstOrderState(
+    here = oracle.value_and_grad(point, np.arange(len(point)))
+    better = here.objective < state.value
+    return state._replace(
         memory=memory,
         point=point,
-        gradient=_sound(found.gradient),
+        gradient=_finite_or_zero(here.gradient),
         z=np.where(better[:, None], point, state.z),
-        value=np.where(better, found.objective, state.value),
-        gradient_norm=np.linalg.norm(found.gradient, axis=1),
-        done=state.done,
+        value=np.where(better, here.objective, state.value),
+        gradient_norm=np.linalg.norm(here.gradient, axis=1),
     )
 
 
@@ -67,13 +71,15 @@ def _first(cost_model: CostModel, n: int) -> float:
 
 
 @functools.cache
-def first_order(make: Any = optax.adam, rate: float = 0.1) -> Method:
-    """make(rate) -> an optimiser of optax."""
+def first_order(
+    make: Callable[[float], optax.GradientTransformation] = optax.adam, rate: float = 0.1
+) -> Method:
+    """An optimiser of optax from every start.
+
+    Args:
+        make: learning rate -> optimiser.
+        rate: learning rate, in z.
+    """
     optimiser = make(rate)
-    return Method(
-        name=f"{make.__name__}",
-        needs="slopes",
-        first=_first,
-        begin=functools.partial(_begin, optimiser),
-        step=functools.partial(_step, optimiser),
-    )
+    begin, step = functools.partial(_begin, optimiser), functools.partial(_step, optimiser)
+    return Method(name=make.__name__, needs="gradient", first=_first, begin=begin, step=step)

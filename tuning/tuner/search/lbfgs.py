@@ -1,11 +1,15 @@
-"""L-BFGS with a line search of its own: for many parameters.
+"""L-BFGS (limited-memory quasi-Newton) with a batched line search: for many parameters.
 
-The gradient comes from reverse mode. A full step is tried with its gradient at once, as it is
-usually taken; else shorter ones are tried in one batch of plain evaluations. A trial that is lost
-or not finite is only a bad trial.
+    p = -H g,  H from the last pairs (s, y) of moves and gradient changes     (two-loop recursion)
+    J(z + a p) <= J(z) + ENOUGH a g^T p                                       (Armijo condition)
+
+The gradient comes from reverse mode. The full step is tried with its gradient at once, as it is
+usually taken; else shorter ones are tried in one batch of plain evaluations. A trial step that is
+lost or not finite is only a bad one.
 Source of the recursion: Nocedal, Math. Comp. 35 (1980).
 """
 
+import copy
 import functools
 from typing import NamedTuple
 
@@ -25,8 +29,16 @@ PATIENCE = 5
 
 
 class LbfgsState(NamedTuple):
-    """z, gradient: (k, n); pairs: of each start, newest last, (moves, gradient changes) each
-    (pairs, n); recent: values of the last steps, (k, PATIENCE); value, gradient_norm, done: (k,).
+    """Quasi-Newton iterates.
+
+    Attributes:
+        z: points reached, (k, n).
+        value: J there, (k,).
+        gradient: dJ/dz there, (k, n).
+        pairs: of each start (moves s, gradient changes y), (pairs, n) each, newest last.
+        recent: J of the last `PATIENCE` steps, (k, PATIENCE).
+        gradient_norm: (k,).
+        done: (k,).
     """
 
     z: np.ndarray
@@ -38,72 +50,82 @@ class LbfgsState(NamedTuple):
     done: np.ndarray
 
 
+class Config(NamedTuple):
+    """memory: pairs that are kept. radius: longest step, in z."""
+
+    memory: int
+    radius: float
+
+
 def direction(gradient: np.ndarray, moves: np.ndarray, changes: np.ndarray) -> np.ndarray:
-    """-H g by the two-loop recursion. moves, changes: (pairs, n), newest last."""
+    """Quasi-Newton direction -H g by the two-loop recursion.
+
+    Args:
+        gradient: g, (n,).
+        moves: s of each pair, (pairs, n), newest last.
+        changes: y of each pair, (pairs, n).
+    """
     q = gradient.copy()
-    kept = []
+    factors = []
     for s, y in zip(moves[::-1], changes[::-1], strict=True):
         a = (s @ q) / (s @ y)
         q = q - a * y
-        kept.append(a)
+        factors.append(a)
     if len(moves):
         q = q * (moves[-1] @ changes[-1]) / (changes[-1] @ changes[-1])
-    for s, y, a in zip(moves, changes, kept[::-1], strict=True):
+    for s, y, a in zip(moves, changes, factors[::-1], strict=True):
         q = q + s * (a - (y @ q) / (s @ y))
     return -q
 
 
 def _begin(oracle: Oracle, starts: np.ndarray, seed: int) -> LbfgsState:
-    found = oracle.value_and_grad(starts, np.arange(len(starts)))
-    norm = np.linalg.norm(found.gradient, axis=1)
+    here = oracle.value_and_grad(starts, np.arange(len(starts)))
+    norm = np.linalg.norm(here.gradient, axis=1)
     none = np.zeros((0, starts.shape[1]))
-    return LbfgsState(
-        z=starts,
-        value=found.objective,
-        gradient=found.gradient,
-        pairs=((none, none),) * len(starts),
-        recent=np.full((len(starts), PATIENCE), np.inf),
-        gradient_norm=norm,
-        done=~np.isfinite(norm) | (norm == 0),
-    )
+    pairs, recent = ((none, none),) * len(starts), np.full((len(starts), PATIENCE), np.inf)
+    done = ~np.isfinite(norm) | (norm == 0)
+    return LbfgsState(starts, here.objective, here.gradient, pairs, recent, norm, done)
 
 
-def _step(memory: int, radius: float, oracle: Oracle, state: LbfgsState) -> LbfgsState:
+def _step(config: Config, oracle: Oracle, state: LbfgsState) -> LbfgsState:
+    """Full steps first; shorter ones, in one batch, for the starts whose full step was refused."""
     active = np.flatnonzero(~state.done)
-    steps = {k: _direction(state, k, radius) for k in map(int, active)}
-    full = np.array([k for k in steps if len(state.pairs[k][0])], int)
-    taken: dict[int, bool] = {}
-    if len(full):
-        state, taken = _tried(memory, oracle, state, full, np.array([steps[k] for k in full]))
+    steps = {k: _full_step(state, k, config.radius) for k in map(int, active)}
+    remembering = {k: step for k, step in steps.items() if len(state.pairs[k][0])}
+    state, taken = _try(config, oracle, state, remembering)
     left = [k for k in steps if not taken.get(k, False)]
     if not left:
         return state
-    scaled = {k: _fractions(state, k, steps[k])[:, None] * steps[k] for k in left}
-    points = np.concatenate([state.z[k] + scaled[k] for k in left])
-    values = oracle.values(points, np.repeat(left, len(FRACTIONS))).reshape(len(left), -1)
-    short: dict[int, np.ndarray] = {}
-    for k, row in zip(left, values, strict=True):
-        slope = scaled[k] @ state.gradient[k]
-        good = np.isfinite(row) & (row <= state.value[k] + ENOUGH * slope)
-        if good.any():
-            short[k] = scaled[k][np.argmin(np.where(good, row, np.inf))]
-    taken = {}
-    if short:
-        rows = np.array(list(short), int)
-        state, taken = _tried(memory, oracle, state, rows, np.array(list(short.values())))
+    state, taken = _try(config, oracle, state, _shorter(oracle, state, {k: steps[k] for k in left}))
     for k in left:
         if not taken.get(k, False):
-            state = _failed(state, k)
+            state = _forget(state, k)
     return state
 
 
-def _direction(state: LbfgsState, k: int, radius: float) -> np.ndarray:
-    """The full step of a start, at most ``radius`` long."""
+def _full_step(state: LbfgsState, k: int, radius: float) -> np.ndarray:
+    """The quasi-Newton step of a start, at most ``radius`` long."""
     p = direction(state.gradient[k], *state.pairs[k])
     if not state.gradient[k] @ p < 0:
         p = -state.gradient[k]
     length = float(np.linalg.norm(p))
     return p if length <= radius else p * (radius / length)
+
+
+def _shorter(
+    oracle: Oracle, state: LbfgsState, steps: dict[int, np.ndarray]
+) -> dict[int, np.ndarray]:
+    """Of each start the best fraction of its step that meets the Armijo condition, if any."""
+    scaled = {k: _fractions(state, k, step)[:, None] * step for k, step in steps.items()}
+    points = np.concatenate([state.z[k] + rows for k, rows in scaled.items()])
+    values = oracle.values(points, np.repeat(list(steps), len(FRACTIONS))).reshape(len(steps), -1)
+    best: dict[int, np.ndarray] = {}
+    for k, row in zip(steps, values, strict=True):
+        slope = scaled[k] @ state.gradient[k]
+        good = np.isfinite(row) & (row <= state.value[k] + ENOUGH * slope)
+        if good.any():
+            best[k] = scaled[k][np.argmin(np.where(good, row, np.inf))]
+    return best
 
 
 def _fractions(state: LbfgsState, k: int, step: np.ndarray) -> np.ndarray:
@@ -113,42 +135,46 @@ def _fractions(state: LbfgsState, k: int, step: np.ndarray) -> np.ndarray:
     return np.array(FIRST) / np.linalg.norm(step)
 
 
-def _tried(
-    memory: int, oracle: Oracle, state: LbfgsState, rows: np.ndarray, steps: np.ndarray
+def _try(
+    config: Config, oracle: Oracle, state: LbfgsState, steps: dict[int, np.ndarray]
 ) -> tuple[LbfgsState, dict[int, bool]]:
-    """Steps (rows, n) of some starts, taken where they help and the gradient is finite."""
-    trial = oracle.value_and_grad(state.z[rows] + steps, rows)
-    taken = {}
-    for i, k in enumerate(map(int, rows)):
-        limit = state.value[k] + ENOUGH * (state.gradient[k] @ steps[i])
-        sound = np.isfinite(trial.objective[i]) and np.isfinite(trial.gradient[i]).all()
-        taken[k] = bool(sound and trial.objective[i] <= limit)
+    """Steps of some starts, taken where they help and the gradient is finite, and which were."""
+    taken: dict[int, bool] = {}
+    if not steps:
+        return state, taken
+    rows = np.array(list(steps), int)
+    trial = oracle.value_and_grad(state.z[rows] + np.array(list(steps.values())), rows)
+    for i, (k, step) in enumerate(steps.items()):
+        limit = state.value[k] + ENOUGH * (state.gradient[k] @ step)
+        finite = np.isfinite(trial.objective[i]) and np.isfinite(trial.gradient[i]).all()
+        taken[k] = bool(finite and trial.objective[i] <= limit)
         if taken[k]:
-            state = _taken(memory, state, k, steps[i], float(trial.objective[i]), trial.gradient[i])
+            reached = float(trial.objective[i]), trial.gradient[i]
+            state = _moved(config.memory, state, k, step, reached)
     return state, taken
 
 
-def _taken(
-    memory: int, state: LbfgsState, k: int, p: np.ndarray, value: float, gradient: np.ndarray
+def _moved(
+    memory: int, state: LbfgsState, k: int, p: np.ndarray, reached: tuple[float, np.ndarray]
 ) -> LbfgsState:
+    """The state after step p of start k. reached: J and dJ/dz at its end."""
+    value, gradient = reached
     moves, changes = state.pairs[k]
     y = gradient - state.gradient[k]
     if p @ y > 1e-10 * np.linalg.norm(p) * np.linalg.norm(y):
         moves = np.concatenate([moves, p[None]])[-memory:]
         changes = np.concatenate([changes, y[None]])[-memory:]
-    z, values, value_and_grad = state.z.copy(), state.value.copy(), state.gradient.copy()
-    recent, done = state.recent.copy(), state.done.copy()
-    norm = state.gradient_norm.copy()
-    z[k], values[k], value_and_grad[k] = z[k] + p, value, gradient
-    norm[k] = np.linalg.norm(gradient)
-    done[k] = recent[k, 0] - value < SMALLEST_GAIN * abs(value)
-    recent[k] = np.append(recent[k, 1:], value)
     pairs = tuple((moves, changes) if i == k else pair for i, pair in enumerate(state.pairs))
-    return LbfgsState(z, values, value_and_grad, pairs, recent, norm, done)
+    new = copy.deepcopy(state)._replace(pairs=pairs)
+    new.z[k], new.value[k], new.gradient[k] = state.z[k] + p, value, gradient
+    new.gradient_norm[k] = np.linalg.norm(gradient)
+    new.done[k] = new.recent[k, 0] - value < SMALLEST_GAIN * abs(value)
+    new.recent[k] = np.append(new.recent[k, 1:], value)
+    return new
 
 
-def _failed(state: LbfgsState, k: int) -> LbfgsState:
-    """No step helped: forget what is remembered and try along the gradient; then it is the end."""
+def _forget(state: LbfgsState, k: int) -> LbfgsState:
+    """No step helped: forget the pairs and try along the gradient; without pairs it is the end."""
     none = np.zeros((0, state.z.shape[1]))
     pairs = tuple((none, none) if i == k else pair for i, pair in enumerate(state.pairs))
     done = state.done.copy()
@@ -156,17 +182,17 @@ def _failed(state: LbfgsState, k: int) -> LbfgsState:
     return state._replace(pairs=pairs, done=done)
 
 
-def _first_units(cost_model: CostModel, n: int) -> float:
+def _first(cost_model: CostModel, n: int) -> float:
     return cost_model.gradient + len(FIRST)
 
 
 @functools.cache
 def lbfgs(memory: int = 20, radius: float = 2.0) -> Method:
-    """memory: pairs that are kept; radius: longest step, in z."""
-    return Method(
-        name="lbfgs",
-        needs="slopes",
-        first=_first_units,
-        begin=_begin,
-        step=functools.partial(_step, memory, radius),
-    )
+    """L-BFGS from every start.
+
+    Args:
+        memory: pairs that are kept.
+        radius: longest step, in z.
+    """
+    step = functools.partial(_step, Config(memory, radius))
+    return Method(name="lbfgs", needs="gradient", first=_first, begin=_begin, step=step)

@@ -1,15 +1,16 @@
-"""Levenberg-Marquardt with a trust region: for few parameters.
+"""Levenberg-Marquardt in trust-region form, with the residual curvature of NL2SOL.
 
     (H + damping I) p = -g,   |p| <= radius     H = 2 sum omega dr/dz dr/dz^T (Gauss-Newton)
 
-The Jacobian comes from forward mode. Where the residuals stay large, as an error that no gain can
-remove, their own curvature S is missing in H. It is learned from the gradients along the way, as in
-NL2SOL, so that (H + S) moved = change of g, and steps of both models, of several radii each, are
-tried in one batch: radius and model find themselves without a Jacobian for each trial. In z a unit
-is about a factor e of a gain, so radii of 1 to 2 are large steps.
+For few parameters: the Jacobian comes from forward mode. Where the residuals stay large, as an
+error that no gain can remove, their own curvature S is missing in H. It is learned from the
+gradients along the way, so that (H + S) moved = change of g. Steps of both models, of several
+radii each, are tried in one batch: radius and model find themselves without a Jacobian for each
+trial step. In z a unit is about a factor e of a gain, so radii of 1 to 2 are large steps.
 Source: Dennis, Gay, Welsch, ACM Trans. Math. Softw. 7 (1981), 348-368, for S.
 """
 
+import copy
 import functools
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from tuning.tuner.search.method import Method, Oracle
 
 #: radii that are tried together, as factors on the radius of the state
 FACTORS = (2.0, 1.0, 0.3)
-#: what is left of the radius when no trial helps
+#: what is left of the radius when no trial step helps
 SHRINK = 0.05
 #: a step must give this share of what the model promises
 ENOUGH = 1e-4
@@ -31,8 +32,18 @@ SMALLEST_GAIN = 1e-6
 
 
 class LmState(NamedTuple):
-    """z, gradient: (k, n); matrix, residual: H and S (k, n, n); value, gradient_norm, radius, done:
-    (k,)."""
+    """Trust-region iterates.
+
+    Attributes:
+        z: points reached, (k, n).
+        value: J there, (k,).
+        gradient: g, (k, n).
+        matrix: H, (k, n, n).
+        residual: S, (k, n, n).
+        radius: of the trust region, in z, (k,).
+        gradient_norm: (k,).
+        done: (k,).
+    """
 
     z: np.ndarray
     value: np.ndarray
@@ -45,9 +56,17 @@ class LmState(NamedTuple):
 
 
 def damped_step(matrix: np.ndarray, gradient: np.ndarray, radius: float) -> np.ndarray:
-    """The p of the equation above with |p| <= radius; the damping is found by bisection.
+    """Trust-region step: the p of the equation above with |p| <= radius.
 
-    matrix: (n, n) symmetric; where it is indefinite the damping makes up for it. gradient: (n,).
+    The damping is found by bisection on its logarithm, in the eigenbasis of the matrix.
+
+    Args:
+        matrix: (n, n) symmetric; where it is indefinite the damping makes up for it.
+        gradient: (n,).
+        radius: longest step.
+
+    Returns:
+        The step, (n,).
     """
     eigen, basis = np.linalg.eigh(matrix)
     g = basis.T @ gradient
@@ -71,9 +90,18 @@ def damped_step(matrix: np.ndarray, gradient: np.ndarray, radius: float) -> np.n
 def learned(
     residual: np.ndarray, matrix: np.ndarray, moved: np.ndarray, change: np.ndarray
 ) -> np.ndarray:
-    """S after a step: (matrix + S) moved = change, else as near to the sized S before as can be.
+    """Secant update of the residual curvature: (matrix + S) moved = change.
 
-    residual: S before; matrix: H after the step; change: of the gradient.
+    Otherwise S stays as near to the sized S before as can be.
+
+    Args:
+        residual: S before, (n, n).
+        matrix: H after the step, (n, n).
+        moved: the step, (n,).
+        change: of the gradient, (n,).
+
+    Returns:
+        S after the step, (n, n); S before where the curvature along the step is not positive.
     """
     along = change - matrix @ moved
     slope = float(change @ moved)
@@ -87,55 +115,51 @@ def learned(
 
 
 def promised(matrix: np.ndarray, gradient: np.ndarray, step: np.ndarray) -> float:
-    """What the quadratic model gains by a step."""
+    """Predicted reduction of the quadratic model: -g^T p - p^T H p / 2."""
     return float(-(gradient @ step) - 0.5 * step @ matrix @ step)
 
 
-def _finite(found: GaussNewtonModel) -> np.ndarray:
+def _finite(model: GaussNewtonModel) -> np.ndarray:
     """Which starts (k,) have finite derivatives."""
-    numbers = np.concatenate([found.gradient[:, None], found.gauss_newton], axis=1).reshape(
-        len(found.gradient), -1
-    )
-    return np.asarray(np.isfinite(numbers).all(axis=1))
+    numbers = np.concatenate([model.gradient[:, None], model.gauss_newton], axis=1)
+    return np.asarray(np.isfinite(numbers.reshape(len(numbers), -1)).all(axis=1))
 
 
 def _begin(radius: float, oracle: Oracle, starts: np.ndarray, seed: int) -> LmState:
-    rows = np.arange(len(starts))
-    found = oracle.gauss_newton_model(starts, rows)
-    norm = np.linalg.norm(found.gradient, axis=1)
-    broken = ~_finite(found)
+    here = oracle.gauss_newton_model(starts, np.arange(len(starts)))
+    norm = np.linalg.norm(here.gradient, axis=1)
     return LmState(
         z=starts,
-        value=found.objective,
-        gradient=found.gradient,
-        matrix=found.gauss_newton,
-        residual=np.zeros_like(found.gauss_newton),
+        value=here.objective,
+        gradient=here.gradient,
+        matrix=here.gauss_newton,
+        residual=np.zeros_like(here.gauss_newton),
         radius=np.full(len(starts), radius),
         gradient_norm=norm,
-        done=broken | (norm == 0),
+        done=~_finite(here) | (norm == 0),
     )
 
 
 class _TrialStep(NamedTuple):
-    """A step that is tried. hoped: what its model promises."""
+    """A step that is tried. factor: on the radius. promised: what its model promises."""
 
     start: int
     step: np.ndarray
     factor: float
-    hoped: float
+    promised: float
 
 
 def _trial_steps(state: LmState, k: int, largest: float) -> list[_TrialStep]:
-    """Steps of both models, of all radii."""
+    """Steps of both models, H and H + S, of all radii."""
     models = [state.matrix[k]]
     if np.any(state.residual[k]):
         models.append(state.matrix[k] + state.residual[k])
-    found = []
+    steps = []
     for model in models:
         for factor in FACTORS:
             step = damped_step(model, state.gradient[k], min(factor * state.radius[k], largest))
-            found.append(_TrialStep(k, step, factor, promised(model, state.gradient[k], step)))
-    return found
+            steps.append(_TrialStep(k, step, factor, promised(model, state.gradient[k], step)))
+    return steps
 
 
 def _step(largest: float, oracle: Oracle, state: LmState) -> LmState:
@@ -146,58 +170,51 @@ def _step(largest: float, oracle: Oracle, state: LmState) -> LmState:
     for k in np.unique(rows):
         best = min(np.flatnonzero(rows == k), key=lambda i: values[i])
         trial, gained = trials[best], state.value[k] - values[best]
-        if gained > max(ENOUGH * trial.hoped, 0.0):
+        if gained > max(ENOUGH * trial.promised, 0.0):
             moved[k] = state.z[k] + trial.step
             length = float(np.linalg.norm(trial.step))
             radius[k] = min(max(trial.factor * radius[k], 0.5 * length), largest)
             done[k] = gained < SMALLEST_GAIN * abs(state.value[k])
         else:
             radius[k] *= SHRINK
-            small = max(t.hoped for t in trials if t.start == k)
+            small = max(t.promised for t in trials if t.start == k)
             done[k] = radius[k] < SMALLEST_RADIUS or small < SMALLEST_GAIN * abs(state.value[k])
     return _refreshed(oracle, state._replace(radius=radius, done=done), moved)
 
 
 def _refreshed(oracle: Oracle, state: LmState, moved: np.ndarray) -> LmState:
-    """The state with Jacobians at the points that moved. A start whose Jacobian is not finite goes
-    back and tries closer."""
+    """The state with Jacobians at the points that moved.
+
+    A start whose Jacobian is not finite goes back and tries closer.
+    """
     rows = np.flatnonzero(np.any(moved != state.z, axis=1))
     if not len(rows):
         return state
-    found = oracle.gauss_newton_model(moved[rows], rows)
-    sound = _finite(found)
-    z, value = state.z.copy(), state.value.copy()
-    gradient, matrix = state.gradient.copy(), state.matrix.copy()
-    residual = state.residual.copy()
-    radius, done = state.radius.copy(), state.done.copy()
-    for i, k in enumerate(rows):
-        if sound[i]:
-            residual[k] = learned(
-                residual[k],
-                found.gauss_newton[i],
-                moved[k] - z[k],
-                found.gradient[i] - gradient[k],
-            )
-            z[k], value[k] = moved[k], found.objective[i]
-            gradient[k], matrix[k] = found.gradient[i], found.gauss_newton[i]
+    there = oracle.gauss_newton_model(moved[rows], rows)
+    new = copy.deepcopy(state)
+    for i, (k, finite) in enumerate(zip(rows, _finite(there), strict=True)):
+        if finite:
+            matrix, change = there.gauss_newton[i], there.gradient[i] - state.gradient[k]
+            new.residual[k] = learned(state.residual[k], matrix, moved[k] - state.z[k], change)
+            new.z[k], new.value[k] = moved[k], there.objective[i]
+            new.gradient[k], new.matrix[k] = there.gradient[i], matrix
         else:
-            radius[k] *= SHRINK
-            done[k] = radius[k] < SMALLEST_RADIUS
-    norm = np.linalg.norm(gradient, axis=1)
-    return LmState(z, value, gradient, matrix, residual, radius, norm, done)
+            new.radius[k] *= SHRINK
+            new.done[k] = new.radius[k] < SMALLEST_RADIUS
+    return new._replace(gradient_norm=np.linalg.norm(new.gradient, axis=1))
 
 
 def _first(cost_model: CostModel, n: int) -> float:
-    return cost_model.curvature + len(FACTORS)
+    return cost_model.gauss_newton + len(FACTORS)
 
 
 @functools.cache
 def levenberg_marquardt(radius: float = 1.0, largest: float = 4.0) -> Method:
-    """radius: of the first step, in z; largest: of any."""
-    return Method(
-        name="lm",
-        needs="curvatures",
-        first=_first,
-        begin=functools.partial(_begin, radius),
-        step=functools.partial(_step, largest),
-    )
+    """Levenberg-Marquardt from every start.
+
+    Args:
+        radius: of the first trust region, in z.
+        largest: radius of any.
+    """
+    begin, step = functools.partial(_begin, radius), functools.partial(_step, largest)
+    return Method(name="lm", needs="gauss_newton", first=_first, begin=begin, step=step)

@@ -1,13 +1,14 @@
-"""From gains that work to gains that work better: method, budget, progress, kept evaluations.
+"""From gains that work to gains that work better: method, starts, budget, progress, log.
 
-A unit is one evaluation of the objective in all training runs; gradients and Jacobians are charged
-as `prices` says. What would go beyond the budget is not asked. The same problem, method, seed,
-starts and prices give the same result to the last bit on the same machine, in one go or stopped and
-taken up again (`journal`).
+The budget counts simulations of the whole training set; derivatives are charged as the cost model
+says. What would go beyond the budget is not asked. The same problem, method, seed, starts and cost
+model give the same result to the last bit on the same machine, in one go or stopped and taken up
+again (`evaluation_log`).
 """
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,24 +16,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from tuning.tuner.problem import problem as problems
-from tuning.tuner.problem.gradient_check import STEPS, GradientCheck, compare_slopes, directions_of
-from tuning.tuner.problem.problem import Problem
-from tuning.tuner.search.budgeted_oracle import (
-    Best,
-    BeyondBudget,
-    BudgetedOracle,
-    ask_all,
-    kept,
-    make_oracle,
-    values_of,
+from tuning.tuner.problem.gradient_check import (
+    STEPS,
+    GradientCheck,
+    compare_slopes,
+    directions_of,
 )
+from tuning.tuner.problem.problem import Problem
+from tuning.tuner.search.budgeted_oracle import Best, BeyondBudget, BudgetedOracle
 from tuning.tuner.search.cma_es import cma_es
 from tuning.tuner.search.cost_model import CostModel, measure_cost_model
-from tuning.tuner.search.evaluation_log import digest, fingerprint, keep
+from tuning.tuner.search.evaluation_log import digest, fingerprint, logged
 from tuning.tuner.search.first_order import first_order
 from tuning.tuner.search.lbfgs import lbfgs
 from tuning.tuner.search.levenberg_marquardt import levenberg_marquardt
-from tuning.tuner.search.method import Method, Oracle
+from tuning.tuner.search.method import Method
 from tuning.tuner.search.random_search import random_search
 from tuning.uncertainty.designs import sobol_rows
 from tuning.uncertainty.distributions import TAIL
@@ -45,9 +43,8 @@ POLISH = 0.3
 AMONG, SPREAD = 16, 1.0
 #: once this share of the budget is spent, a start so many times worse than the best is given up
 TRIED, BEHIND = 1 / 3, 1.5
-#: the weight of missed goals grows by this factor, to this at most, while a search ends at a miss
+#: the penalty of missed goals grows by this factor, to this at most, while a search ends at a miss
 HARDER, HARDEST = 10.0, 1e7
-
 #: directions of the check of the gradients
 DIRECTIONS = 3
 #: the "start" of candidates that belong to none
@@ -64,8 +61,19 @@ METHODS: dict[str, Callable[[], Method]] = {
 
 
 class SearchProgress(NamedTuple):
-    """After a step. best, violation, z: of the best gains so far; gradient_norm: smallest of the
-    starts, NaN where unknown; left_s: expected until the budget is spent."""
+    """State of a search after a step.
+
+    Attributes:
+        step: from 0.
+        simulations: spent so far.
+        budget: simulations that may be spent.
+        seconds: of evaluation so far.
+        left_s: seconds expected until the budget is spent.
+        best: J of the best gains so far.
+        gradient_norm: smallest of the starts, NaN where unknown.
+        violation: largest miss of a goal at the best gains, inf where a run is lost.
+        z: the best gains, (n,).
+    """
 
     step: int
     simulations: float
@@ -79,7 +87,7 @@ class SearchProgress(NamedTuple):
 
 
 class StartResult(NamedTuple):
-    """Where a start ended, at its best."""
+    """Where a start began and ended, at its best: z (n,), J and the largest miss of a goal."""
 
     begun: np.ndarray
     z: np.ndarray
@@ -88,8 +96,26 @@ class StartResult(NamedTuple):
 
 
 class SearchResult(NamedTuple):
-    """before, after: J. feasible: no training run is lost and every goal is met. ended: why. note:
-    why CMA-ES searched in place of the method that was asked for, or empty."""
+    """The best gains of a search, and how they were found.
+
+    Attributes:
+        method: that searched from the starts.
+        n: parameters.
+        z: the best gains, (n,).
+        gains: the same as the law takes them.
+        before: J of the gains before.
+        after: J of the best gains.
+        violation: largest miss of a goal there.
+        feasible: no training run is lost and every goal is met.
+        simulations: spent.
+        seconds: of evaluation.
+        cost_model: what derivatives were charged with.
+        check: of the gradients; None where none was made.
+        starts: where each ended.
+        history: every step.
+        ended: why the search ended.
+        note: why CMA-ES searched in place of the method that was asked for, or empty.
+    """
 
     method: str
     n: int
@@ -109,6 +135,17 @@ class SearchResult(NamedTuple):
     note: str
 
 
+@dataclass
+class _Search:
+    """A search that is under way. history: a record of every step, which fills."""
+
+    asked: BudgetedOracle
+    problem: Problem
+    seed: int
+    watch: Callable[[SearchProgress], None]
+    history: list[SearchProgress] = field(default_factory=list)
+
+
 def tune(
     problem: Problem,
     method: Method | None = None,
@@ -121,113 +158,141 @@ def tune(
 ) -> SearchResult:
     """Minimise J from the gains before, and from other starts.
 
-    method: None chooses: by the number of parameters, and by a check of the gradients, CMA-ES where
-    it fails; with few parameters what a descent leaves of the budget goes to CMA-ES from its best
-    point, which passes kinks where no gradient leads on. starts: how many, the first the gains
-    before, or their z (k, n). budget: units, never overrun; where it does not pay for the first
-    step of the method, CMA-ES searches, and `note` says so. prices: None measures them. journal:
-    folder that keeps every evaluation; given again, the tuning goes on where it was stopped. watch:
-    called after each step.
+    Args:
+        problem: training runs and objective.
+        method: None chooses: Levenberg-Marquardt for few parameters, L-BFGS for many, CMA-ES where
+            a check of the gradients fails. With few parameters CMA-ES then spends the rest of the
+            budget around the best point, which passes kinks where no gradient leads on.
+        starts: how many, the first the gains before, or their z (k, n).
+        seed: of starts and method.
+        budget: simulations, never overrun. Where it does not pay for the first step of the method,
+            CMA-ES searches, and `SearchResult.note` says so.
+        cost_model: None measures it.
+        log_folder: keeps every evaluation; given again, the search goes on where it was stopped.
+        watch: called after each step.
 
-    Raises ValueError for a budget that does not pay for the values of the starts, an impossible
-    number of starts, and for a journal of something else.
+    Raises:
+        ValueError: a budget that does not pay for the values of the starts, an impossible number of
+            starts, or a log of something else.
     """
     count = starts if isinstance(starts, int) else len(starts)
     if not 1 <= count <= AMONG:
         raise ValueError(f"starts = {count}: must be 1..{AMONG}")
     screened = AMONG if isinstance(starts, int) and starts > 1 else 0
     if not budget >= screened + count:
-        raise ValueError(f"budget = {budget:g}: must be >= {screened + count} units")
-    few = problem.space.size <= FEW
-    chosen = method or (levenberg_marquardt() if few else lbfgs())
-    told = starts if isinstance(starts, int) else np.ascontiguousarray(starts, float)
-    told_prices = None if cost_model is None else tuple(cost_model)
-    question = digest(fingerprint(problem), chosen.name, method is None, told, seed, told_prices)
-    keep(log_folder, 0, question, dict)
-    cost_model = cost_model or _kept_cost_model(problem, chosen, count, log_folder)
-    budgeted = BudgetedOracle(budget, log_folder, cost_model, count, [], {}, {})
-    oracle = make_oracle(budgeted, problem)
-    begun = _starts(oracle, problem, starts, seed)
-    check, size = None, problem.space.size
+        raise ValueError(f"budget = {budget:g}: must be >= {screened + count} simulations")
+    size = problem.space.size
+    chosen = method or (levenberg_marquardt() if size <= FEW else lbfgs())
+    named = starts if isinstance(starts, int) else np.ascontiguousarray(starts, float)
+    costs = None if cost_model is None else tuple(cost_model)
+    question = digest(fingerprint(problem), chosen.name, method is None, named, seed, costs)
+    logged(log_folder, 0, question, dict)
+    cost_model = cost_model or _logged_cost_model(problem, chosen, count, log_folder)
+    asked = BudgetedOracle(budget, log_folder, cost_model, count)
+    search = _Search(asked, problem, seed, watch)
+    begun = _starts(search, starts)
     before = screened + (_cost_of_check(cost_model, size, count) if method is None else 0)
     chosen, note = _affordable(chosen, before + count * chosen.first(cost_model, size), budget)
-    if method is None and not note:
-        check = _check(budgeted, problem, begun[0], seed)
-        chosen = chosen if check.ok else cma_es()
-    history: list[SearchProgress] = []
-    ended = _search(budgeted, problem, chosen, begun, seed, watch, history)
-    ends = tuple(budgeted.best[k] for k in range(count))
-    if method is None and few and chosen.needs and budgeted.simulations < budget:
-        best = min(ends, key=Best.key).z[None]
-        ended = _search(budgeted, problem, cma_es(POLISH), best, seed, watch, history)
+    check = _check(search, begun[0]) if method is None and not note else None
+    chosen = cma_es() if check and not check.ok else chosen
+    ended = _run(search, chosen, begun)
+    ends = tuple(asked.best[k] for k in range(count))
+    if method is None and size <= FEW and chosen.needs and asked.simulations < budget:
+        ended = _run(search, cma_es(POLISH), min(ends, key=Best.key).z[None])
     results = tuple(StartResult(z, *end) for z, end in zip(begun, ends, strict=True))
-    return _result(problem, chosen, budgeted, results, check, history, ended, note)
+    best = min(asked.best.values(), key=Best.key)
+    assert problem.before is not None
+    return SearchResult(
+        method=chosen.name,
+        n=size,
+        z=best.z,
+        gains=problem.space.gains_of(jnp.asarray(best.z)),
+        before=float(problem.before.objective[0]),
+        after=best.objective,
+        violation=best.violation,
+        feasible=best.violation <= 0,
+        simulations=asked.simulations,
+        seconds=asked.seconds,
+        cost_model=cost_model,
+        check=check,
+        starts=results,
+        history=tuple(search.history),
+        ended=ended,
+        note=note,
+    )
 
 
 def _affordable(method: Method, least: float, budget: float) -> tuple[Method, str]:
     """The method, or CMA-ES and a note where the budget does not pay for a gradient method's first
-    step. least: units until then."""
+    step. least: simulations until then."""
     if not method.needs or least <= budget:
         return method, ""
     return cma_es(), (
-        f"the first step of {method.name} costs {math.ceil(least)} units, more than the budget: "
-        "CMA-ES searched"
+        f"the first step of {method.name} costs {math.ceil(least)} simulations, more than the "
+        "budget: CMA-ES searched"
     )
 
 
 def least_budget(method: Method, n: int, starts: int) -> int:
-    """The budget that pays for the first step of a method without gradients, which n parameters
-    are searched by from so many starts. Other methods fall back on CMA-ES."""
+    """Simulations until the first step of a derivative-free method.
+
+    Methods with derivatives fall back on CMA-ES.
+
+    Args:
+        method: that is to search.
+        n: parameters.
+        starts: how many.
+    """
     first = (method if not method.needs else cma_es()).first
     return math.ceil(AMONG + starts * first(CostModel(math.nan, math.nan, math.nan), n))
 
 
-def _kept_cost_model(
+def _logged_cost_model(
     problem: Problem, method: Method, starts: int, log_folder: Path | None
 ) -> CostModel:
-    def ask() -> dict[str, float]:
+    def compute() -> dict[str, float]:
         return measure_cost_model(problem, method.needs, starts)._asdict()
 
-    found, _ = keep(log_folder, 1, f"prices {method.needs} {starts}", ask)
-    return CostModel(**{name: float(value) for name, value in found.items()})
+    answer, _ = logged(log_folder, 1, f"cost model {method.needs} {starts}", compute)
+    return CostModel(**{name: float(value) for name, value in answer.items()})
 
 
-def _starts(oracle: Oracle, problem: Problem, starts: int | np.ndarray, seed: int) -> np.ndarray:
+def _starts(search: _Search, starts: int | np.ndarray) -> np.ndarray:
     """z (k, n): the gains before, and the best of `AMONG` Sobol points around them."""
     if not isinstance(starts, int):
         return np.array(starts, float)
-    first = problem.space.start()[None]
+    first = search.problem.space.start()[None]
     if starts == 1:
         return first
-    points = first + SPREAD * sobol_normal(seed, AMONG, first.shape[1])
-    values = oracle.values(points, np.full(AMONG, SCREENING))
+    points = first + SPREAD * sobol_normal(search.seed, AMONG, first.shape[1])
+    values = search.asked.values(search.problem, points, np.full(AMONG, SCREENING))["objective"]
     return np.concatenate([first, points[np.argsort(values, kind="stable")[: starts - 1]]])
 
 
 def sobol_normal(seed: int, count: int, size: int) -> np.ndarray:
-    """Points (count, size) of a scrambled Sobol sequence, normally distributed."""
+    """Scrambled Sobol sequence with standard normal marginals, (count, size)."""
     from scipy.special import ndtri
 
     return ndtri(np.clip(sobol_rows(seed, count, size, 0, count), TAIL, 1 - TAIL))
 
 
 def _cost_of_check(cost_model: CostModel, size: int, starts: int) -> float:
-    """Units of `_check`; its Jacobian is the one that a search from one start begins with."""
-    jacobian = cost_model.curvature if starts > 1 else 0.0
+    """Simulations of `_check`; its Jacobian is the one that a search from one start begins with."""
+    jacobian = cost_model.gauss_newton if starts > 1 else 0.0
     return 2 * DIRECTIONS * len(STEPS) + (jacobian if size <= FEW else DIRECTIONS)
 
 
-def _check(budgeted: BudgetedOracle, problem: Problem, z: np.ndarray, seed: int) -> GradientCheck:
-    """The check of the gradients at the first start. What it asks is kept and charged: differences
-    as evaluations, slopes along directions as one each."""
-    along = directions_of(len(z), DIRECTIONS, seed)
+def _check(search: _Search, z: np.ndarray) -> GradientCheck:
+    """The check of the gradients at the first start. What it asks is logged and charged:
+    differences as evaluations, slopes along directions as one each."""
+    asked, problem = search.asked, search.problem
+    along = directions_of(len(z), DIRECTIONS, search.seed)
     if len(z) <= FEW:
-        found = make_oracle(budgeted, problem).gauss_newton_model(z[None], np.zeros(1, int))
-        slopes = along @ found.of_runs[0].T
+        model = asked.oracle(problem).gauss_newton_model(z[None], np.zeros(1, int))
+        slopes = along @ model.of_runs[0].T
     else:
         question = digest("directional", z, along)
-        slopes = kept(
-            budgeted,
+        slopes = asked.answer(
             question,
             float(DIRECTIONS),
             lambda: {"slopes": problems.directional(problem, z, along)},
@@ -235,108 +300,57 @@ def _check(budgeted: BudgetedOracle, problem: Problem, z: np.ndarray, seed: int)
     differences = []
     for step in STEPS:
         ends = np.concatenate([z + step * along, z - step * along])
-        rows = np.full(len(ends), SCREENING)
-        costs = ask_all(budgeted, problem, values_of, 1.0, ends, rows)["costs"]
+        costs = asked.values(problem, ends, np.full(len(ends), SCREENING))["costs"]
         differences.append((costs[:DIRECTIONS] - costs[DIRECTIONS:]).T / (2 * step))
     return compare_slopes(problem.run_names, slopes.T, differences)
 
 
-def _search(
-    budgeted: BudgetedOracle,
-    problem: Problem,
-    method: Method,
-    begun: np.ndarray,
-    seed: int,
-    watch: Callable[[SearchProgress], None],
-    history: list[SearchProgress],
-) -> str:
+def _run(search: _Search, method: Method, begun: np.ndarray) -> str:
     """Step until all starts are at their end or the budget is; which of them it was.
 
-    history: every step is added to it, and what was still tried of one that could not be paid."""
-
-    def tell(norms: np.ndarray) -> None:
-        history.append(_progress(budgeted, norms, len(history)))
-        watch(history[-1])
-
+    What was still tried of a step that could not be paid is told, too."""
     try:
-        return _steps(budgeted, problem, method, begun, seed, tell)
+        return _steps(search, method, begun)
     except BeyondBudget:
-        if history[-1].simulations < budgeted.simulations:
-            tell(np.full(len(begun), np.nan))
+        if search.history[-1].simulations < search.asked.simulations:
+            _tell(search, np.full(len(begun), np.nan))
         return "the budget does not pay for the next step"
 
 
-def _steps(
-    budgeted: BudgetedOracle,
-    problem: Problem,
-    method: Method,
-    begun: np.ndarray,
-    seed: int,
-    tell: Callable[[np.ndarray], None],
-) -> str:
-    state = method.begin(make_oracle(budgeted, problem), begun, seed)
+def _steps(search: _Search, method: Method, begun: np.ndarray) -> str:
+    asked, problem = search.asked, search.problem
+    state = method.begin(asked.oracle(problem), begun, search.seed)
     while True:
-        tell(state.gradient_norm)
+        _tell(search, state.gradient_norm)
         if np.all(state.done):
-            missed = problem.goals and min(b.key()[0] for b in budgeted.best.values()) > 0
+            missed = problem.objective.goals and min(b.key()[0] for b in asked.best.values()) > 0
             if not missed or problem.penalty * HARDER > HARDEST:
                 return "no start finds anything better"
             problem = problem._replace(penalty=problem.penalty * HARDER)
-            again = np.stack([budgeted.best[row].z for row in range(len(begun))])
-            state = method.begin(make_oracle(budgeted, problem), again, seed)
+            again = np.stack([asked.best[row].z for row in range(len(begun))])
+            state = method.begin(asked.oracle(problem), again, search.seed)
             continue
-        if budgeted.simulations > TRIED * budgeted.budget and len(problem.weights) == 1:
+        if asked.simulations > TRIED * asked.budget and len(problem.weights) == 1:
             state = state._replace(done=state.done | (state.value > BEHIND * np.min(state.value)))
-        state = method.step(make_oracle(budgeted, problem), state)
+        state = method.step(asked.oracle(problem), state)
 
 
-def _progress(budgeted: BudgetedOracle, norms: np.ndarray, step: int) -> SearchProgress:
-    best = min(budgeted.best.values(), key=Best.key)
+def _tell(search: _Search, norms: np.ndarray) -> None:
+    """Record a step and tell of it. norms: of the gradients, (k,)."""
+    asked = search.asked
+    best = min(asked.best.values(), key=Best.key)
     norms = norms[np.isfinite(norms)]
-    left = (
-        (budgeted.budget - budgeted.simulations) * budgeted.seconds / max(budgeted.simulations, 1.0)
-    )
-    return SearchProgress(
-        step=step,
-        simulations=budgeted.simulations,
-        budget=budgeted.budget,
-        seconds=budgeted.seconds,
+    left = (asked.budget - asked.simulations) * asked.seconds / max(asked.simulations, 1.0)
+    progress = SearchProgress(
+        step=len(search.history),
+        simulations=asked.simulations,
+        budget=asked.budget,
+        seconds=asked.seconds,
         left_s=left,
         best=best.objective,
         gradient_norm=float(np.min(norms)) if len(norms) else np.nan,
         violation=best.violation,
         z=best.z,
     )
-
-
-def _result(
-    problem: Problem,
-    method: Method,
-    budgeted: BudgetedOracle,
-    starts: tuple[StartResult, ...],
-    check: GradientCheck | None,
-    history: list[SearchProgress],
-    ended: str,
-    note: str,
-) -> SearchResult:
-    best = min(budgeted.best.values(), key=Best.key)
-    assert problem.before is not None
-    gains = problem.space.gains_of(jnp.asarray(best.z))
-    return SearchResult(
-        method=method.name,
-        n=problem.space.size,
-        z=best.z,
-        gains=gains,
-        before=float(problem.before.objective[0]),
-        after=best.objective,
-        violation=best.violation,
-        feasible=best.violation <= 0,
-        simulations=budgeted.simulations,
-        seconds=budgeted.seconds,
-        cost_model=budgeted.cost_model,
-        check=check,
-        starts=starts,
-        history=tuple(history),
-        ended=ended,
-        note=note,
-    )
+    search.history.append(progress)
+    search.watch(progress)

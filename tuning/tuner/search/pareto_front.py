@@ -1,7 +1,7 @@
-"""Trade-offs: which points no other one beats, how much of the plane they command, where to stand.
+"""Pareto front: dominance, hypervolume, knee, and weights on a simplex lattice.
 
 All objectives are to be small. A point with an objective that is not finite, such as a lost run, is
-beaten by every other one.
+dominated by every other one.
 """
 
 import math
@@ -10,10 +10,16 @@ import numpy as np
 
 
 def non_dominated(points: np.ndarray) -> np.ndarray:
-    """Which points (n, m) no other one beats: (n,) bool.
+    """Pareto-optimal points.
 
-    One beats another if it is nowhere larger and somewhere smaller. Of equal points the first
-    stays.
+    A point dominates another if it is nowhere larger and somewhere smaller. Of equal points the
+    first stays.
+
+    Args:
+        points: (n, m).
+
+    Returns:
+        Which points no other one dominates, (n,) bool.
     """
     kept = np.asarray(np.isfinite(points).all(axis=1))
     for i in np.flatnonzero(kept):
@@ -25,10 +31,14 @@ def non_dominated(points: np.ndarray) -> np.ndarray:
 
 
 def hypervolume(points: np.ndarray, reference: np.ndarray) -> float:
-    """Volume between the points (n, m) and a reference point (m,) that is worse than they are.
+    """Hypervolume indicator: the volume that points dominate below a reference point.
 
-    What lies beyond the reference counts nothing. By slices along the last objective: exact, and
-    meant for few objectives and some hundred points.
+    By slices along the last objective: exact, and meant for few objectives and some hundred points.
+    What lies beyond the reference counts nothing.
+
+    Args:
+        points: (n, m).
+        reference: a point that is worse than all, (m,).
     """
     inside = points[np.isfinite(points).all(axis=1) & np.all(points < reference, axis=1)]
     if not len(inside):
@@ -56,10 +66,16 @@ def normalised(points: np.ndarray) -> np.ndarray:
 
 
 def knee(points: np.ndarray) -> int:
-    """The suggested compromise of a front (n, m): the point nearest to the best of all objectives,
-    each measured in its own range over the front.
+    """Knee of a front: the point nearest to the ideal one, each objective in its own range.
 
-    Raises ValueError for no points.
+    Args:
+        points: of the front, (n, m).
+
+    Returns:
+        Its row.
+
+    Raises:
+        ValueError: there are no points.
     """
     if not len(points):
         raise ValueError("no point is left to suggest: all were lost")
@@ -67,9 +83,14 @@ def knee(points: np.ndarray) -> int:
 
 
 def weights(objectives: int, steps: int) -> np.ndarray:
-    """Weights (n, objectives) that sum to 1, evenly over the simplex, the corners included.
+    """Simplex lattice (Das and Dennis): weights that sum to 1, the corners included.
 
-    steps: parts that an edge is divided into.
+    Args:
+        objectives: how many weights a row has.
+        steps: parts that an edge is divided into.
+
+    Returns:
+        (n, objectives).
     """
     if objectives == 1:
         return np.ones((1, 1))

@@ -10,7 +10,17 @@ from tuning.tuner.search.method import Method, Oracle
 
 
 class RandomState(NamedTuple):
-    """starts: what is searched around. z, value: the best so far. drawn: points of each start."""
+    """The best of the points drawn so far.
+
+    Attributes:
+        starts: centres of the draws, (k, n).
+        seed: of the draws.
+        drawn: points of each start so far.
+        z: best points, (k, n).
+        value: J there, (k,).
+        gradient_norm: NaN, (k,).
+        done: never, (k,).
+    """
 
     starts: np.ndarray
     seed: int
@@ -47,6 +57,11 @@ def _first(batch: int, cost_model: CostModel, n: int) -> float:
 
 @functools.cache
 def random_search(sigma: float = 1.0, batch: int = 16) -> Method:
-    """sigma: standard deviation of the points around the start, in z; batch: points a step."""
+    """Normally distributed points around every start.
+
+    Args:
+        sigma: standard deviation, in z.
+        batch: points of a step.
+    """
     first, step = functools.partial(_first, batch), functools.partial(_step, sigma, batch)
     return Method(name="random", needs="", first=first, begin=_begin, step=step)
