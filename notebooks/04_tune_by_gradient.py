@@ -112,7 +112,7 @@ ax.legend()
 # %% [markdown]
 # ## The search
 #
-# Levenberg-Marquardt from the gains before. A unit is one simulation of all plants, in compiled
+# Levenberg-Marquardt from the gains before. One simulation counts all plants, in compiled
 # code; derivatives are charged what they cost here, which is many of those.
 
 # %%
