@@ -55,15 +55,19 @@ def c_files(
         lambda x: np.asarray(x, real), (gains, rows.setpoint, rows.measurement)
     )
     recorded = _follow(loop, gains, scenario, setpoint, measurement)
-    with jax.enable_x64(not single):
-        law, recorded = _law(loop, gains, recorded, axis)
     what = Identity(
         loop=name, law=loop.controller.name, prefix=prefix, axes=axes if axis is None else (axis,),
         period=loop.dt, command_unit=loop.plant.command_unit, single=single, version=version,
     )  # fmt: skip
+    try:
+        with jax.enable_x64(not single):
+            law, recorded = _law(loop, gains, recorded, axis)
+        written = source(law, what)
+    except LoweringError as reason:
+        raise ValueError(f"{loop.controller.name} cannot be written in C: {reason}") from None
     return {
         f"{prefix}.h": header(law, what),
-        f"{prefix}.c": source(law, what),
+        f"{prefix}.c": written,
         f"{prefix}_gains.c": gains_source(law, what),
         "recorded.h": recorded_header(law, what, recorded),
         "replay.c": replay_source(law, what),
@@ -90,10 +94,7 @@ def _law(
     def traced(gains: Any, rows: RecordedTicks, one: bool) -> LawGraph:
         setpoint, seen = jax.tree.map(lambda x: x[0], (rows.setpoint, rows.measurement))
         unit = loop.plant.command_unit
-        try:
-            return trace(loop.controller, gains, setpoint, seen, loop.dt, unit, one)
-        except LoweringError as reason:
-            raise ValueError(f"{loop.controller.name} cannot be written in C: {reason}") from None
+        return trace(loop.controller, gains, setpoint, seen, loop.dt, unit, one)
 
     law = traced(gains, rows, one=len(axes) == 1)
     if axis is None or len(axes) == 1:

@@ -7,7 +7,8 @@ from jaxstage.c_export.law_graph import STRUCTS, Function, LawGraph, elements, r
 from jaxstage.c_export.structs import Member, declare, initialise
 from jaxstage.compiler.c99.emit import statements
 from jaxstage.compiler.c99.ops import number
-from jaxstage.compiler.c99.stores import Places, Result
+from jaxstage.compiler.ir.node import Node
+from jaxstage.compiler.passes.store_forms import Cells, Store
 
 FUNCTIONS = ("init", "step", "settle")
 
@@ -167,26 +168,41 @@ def source(law: LawGraph, what: Identity) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def _cells(law: LawGraph, function: Function) -> Cells:
+    """Where the inputs of a function stand in C."""
+    members = {
+        (group, number): member
+        for group in STRUCTS
+        for number, member in enumerate(getattr(law, group))
+    }
+
+    def place(leaf: int) -> tuple[str, bool]:
+        group, _ = function.leaves[leaf]
+        member = members.get(function.leaves[leaf])
+        return (group, True) if member is None else (f"{group}->{member.name}", bool(member.shape))
+
+    def slot(node: Node) -> tuple[str, int]:
+        leaf, index = node.value
+        text, is_array = place(leaf)
+        return (f"{text}[{{}}]" if is_array else text), index
+
+    def read(node: Node) -> str:
+        text, index = slot(node)
+        return text.format(index)
+
+    scalars = frozenset(f"memory->{member.name}" for member in law.memory if not member.shape)
+    return Cells(read, lambda leaf: (place(leaf)[0], 0), slot, scalars)
+
+
 def _body(
     law: LawGraph, name: str, function: Function, what: Identity, helpers: dict[str, str]
 ) -> str:
-    def array(leaf: int) -> str:
-        group, number = function.leaves[leaf]
-        return f"{group}->{getattr(law, group)[number].name}" if group in STRUCTS else group
-
-    def element(leaf: int, index: int) -> str:
-        group, number = function.leaves[leaf]
-        if group not in STRUCTS:
-            return f"{group}[{index}]"
-        return f"{group}->{getattr(law, group)[number].element(index)}"
-
-    leaves = {where: leaf for leaf, where in enumerate(function.leaves)}
-    results = [Result("demand", i, node) for i, node in enumerate(function.demand)]
-    for (place, member, index), node in zip(elements(law.memory), function.memory, strict=True):
-        old = (leaves["memory", place], index) if ("memory", place) in leaves else None
-        at = index if member.shape else None
-        results.append(Result(f"memory->{member.name}", at, node, old))
-    written = statements(results, Places(element, array), what.single)
+    stores = [Store("demand", i, node) for i, node in enumerate(function.demand)]
+    stores += [
+        Store(f"memory->{member.name}", index, node)
+        for (_, member, index), node in zip(elements(law.memory), function.memory, strict=True)
+    ]
+    written = statements(stores, _cells(law, function), what.single)
     helpers.update(written.helpers)
     text = "\n".join(written.lines)
     seen = ("demand", "command") if name == "settle" else ("setpoint", "measurement")

@@ -11,7 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxstage.compiler.ir.graph import LIMITS, Node
+from jaxstage.compiler.ir.errors import LoweringError
+from jaxstage.compiler.ir.node import LIMITS, Node
+from jaxstage.compiler.ir.operation import C99
+from jaxstage.compiler.ir.ops import OPS
 
 #: how tightly an expression binds; one that binds less tightly than its place asks gets brackets
 ATOM, UNARY, MUL, ADD, COMPARE, CHOICE = range(6)
@@ -20,58 +23,10 @@ ATOM, UNARY, MUL, ADD, COMPARE, CHOICE = range(6)
 TYPES = {"f": "real", "b": "bool", "i": "int32_t", "u": "uint32_t", "l": "int64_t"}
 _WRAPPING = {"i": "uint32_t", "u": "uint32_t", "l": "uint64_t"}
 
-_INFIX = {
-    "add": ("+", ADD), "sub": ("-", ADD), "mul": ("*", MUL), "div": ("/", MUL), "rem": ("%", MUL),
-    "eq": ("==", COMPARE), "ne": ("!=", COMPARE), "lt": ("<", COMPARE), "le": ("<=", COMPARE),
-    "gt": (">", COMPARE), "ge": (">=", COMPARE),
-}  # fmt: skip
-
-#: logical operators of bool, and those of bits
-_LOGIC = {"and": ("&&", "&"), "or": ("||", "|"), "xor": ("!=", "^")}
-
-#: functions of math.h, under their name there
-_LIBRARY = {
-    **{name: name for name in (
-        "floor ceil exp exp2 expm1 log log1p sqrt cbrt sin cos tan asin acos atan sinh cosh tanh "
-        "asinh acosh atanh erf atan2 pow").split()},
-    "abs": "fabs", "round": "rint", "rem": "fmod",
-}  # fmt: skip
-
-#: operation on reals -> head of a small function, and what it returns
-_REAL = {
-    "max": (
-        "real max_real(real a, real b)", "a > b ? a : b > a ? b : a == b && a != 0 ? a : a + b",
-    ),
-    "min": (
-        "real min_real(real a, real b)", "a < b ? a : b < a ? b : a == b && a != 0 ? a : -(-a - b)",
-    ),
-    "sign": ("real sign_real(real a)", "a > 0 ? (real)1 : a < 0 ? (real)-1 : a"),
-    "is_finite": ("bool is_finite(real a)", "a - a == 0"),
-    "logistic": ("real logistic(real a)", "1 / (1 + exp(-a))"),
-    "rsqrt": ("real reciprocal_root(real a)", "1 / sqrt(a)"),
-}  # fmt: skip
-
-#: the same for integers of type T, which wrap in the type U
-_WHOLE = {
-    "max": ("T max_T(T a, T b)", "a > b ? a : b"),
-    "min": ("T min_T(T a, T b)", "a < b ? a : b"),
-    "sign": ("T sign_T(T a)", "(a > 0) - (a < 0)"),
-    "abs": ("T abs_T(T a)", "a > 0 ? a : (T)((U)0 - (U)a)"),
-    "neg": ("T neg_T(T a)", "(T)((U)0 - (U)a)"),
-    "add": ("T add_T(T a, T b)", "(T)((U)a + (U)b)"),
-    "sub": ("T sub_T(T a, T b)", "(T)((U)a - (U)b)"),
-    "mul": ("T mul_T(T a, T b)", "(T)((U)a * (U)b)"),
-    "shl": ("T shl_T(T a, T b)", "(U)b < 8 * sizeof a ? (T)((U)a << b) : 0"),
-    "shr": ("T shr_T(T a, T b)", "(U)b < 8 * sizeof a ? (T)((U)a >> b) : 0"),
-}
-_SIGNED = {
-    "div": ("T div_T(T a, T b)", "b == 0 ? -1 : b == -1 ? (T)((U)0 - (U)a) : a / b"),
-    "rem": ("T rem_T(T a, T b)", "b == 0 ? a : b == -1 ? 0 : a % b"),
-}
-_UNSIGNED = {
-    "div": ("T div_T(T a, T b)", "b == 0 ? (T)-1 : a / b"),
-    "rem": ("T rem_T(T a, T b)", "b == 0 ? a : a % b"),
-}
+#: how tightly each operator binds
+_BINDING = {"+": ADD, "-": ADD, "*": MUL, "/": MUL, "%": MUL} | dict.fromkeys(
+    ("==", "!=", "<", "<=", ">", ">="), COMPARE
+)
 
 #: least and largest integer of a kind as C text, and the power of two above the largest
 _EDGES = {
@@ -137,34 +92,40 @@ def bracketed(part: Text, loosest: int) -> str:
 
 
 def operation(node: Node, args: Sequence[Text], single: bool, helpers: dict[str, str]) -> Text:
-    """An operation on expressions. helpers: gets the small functions that it calls, by name.
+    """An operation on expressions.
 
-    Raises ValueError for an operation that C99 does not have.
+    Args:
+        node: The operation.
+        args: Text of its arguments.
+        single: Whether reals are floats.
+        helpers: Gets the small functions that it calls, by name.
+
+    Raises:
+        LoweringError: C99 does not have it.
     """
-    name, kind = node.op, _working_kind(node)
+    form, kind = OPS[node.op].c99 or C99(), _working_kind(node)
     reads = frozenset[str]().union(*(arg.reads for arg in args))
     plain = kind in "fb" or _stays_in_range(node)
-    if name in _INFIX and plain and not (name == "rem" and kind == "f"):
-        sign, level = _INFIX[name]
-        left = bracketed(args[0], min(level, ADD))
-        return Text(f"{left} {sign} {bracketed(args[1], level - 1)}", level, reads)
-    if name in _LOGIC:
-        sign = _LOGIC[name][kind != "b"]
-        return Text(
-            f"{bracketed(args[0], UNARY)} {sign} {bracketed(args[1], UNARY)}", COMPARE, reads
-        )
-    if name == "select":
+    if node.op == "select":
         test, yes = (bracketed(arg, COMPARE) for arg in args[:2])
         return Text(f"{test} ? {yes} : {args[2].text}", CHOICE, reads)
-    if name == "not" or (name == "neg" and plain):
-        sign = "-" if name == "neg" else "!" if kind == "b" else "~"
-        return Text(f"{sign}{bracketed(args[0], ATOM)}", UNARY, reads)
-    if name == "cast" and kind == kind_of(node):
+    if node.op == "cast" and kind == kind_of(node):
         return Text(args[0].text, args[0].level, reads)
-    if name == "cast" and (kind != "f" or _fits(node)):
+    if node.op == "cast" and (kind != "f" or _fits(node)):
         return Text(f"({TYPES[kind_of(node)]}){bracketed(args[0], ATOM)}", UNARY, reads)
-    called = _LIBRARY.get(name) if kind == "f" else None
-    if called is not None:
+    if form.infix and plain and not (form.library and kind == "f"):
+        level = _BINDING[form.infix]
+        left = bracketed(args[0], min(level, ADD))
+        return Text(f"{left} {form.infix} {bracketed(args[1], level - 1)}", level, reads)
+    sign = form.logic[kind != "b"]
+    if sign:
+        sides = f" {sign} ".join(bracketed(arg, UNARY) for arg in args)
+        return Text(sides, COMPARE, reads)
+    sign = form.prefix[kind == "b"]
+    if sign and (plain or not form.whole):
+        return Text(f"{sign}{bracketed(args[0], ATOM)}", UNARY, reads)
+    called = form.library if kind == "f" else ""
+    if called:
         called += "f" if single else ""
     else:
         called, text = _helper(node, kind, single)
@@ -224,16 +185,23 @@ def _helper(node: Node, kind: str, single: bool) -> tuple[str, str]:
             f"a < 0 ? {least} : 0"
         )
     else:
-        own = _REAL if kind == "f" else _WHOLE | (_UNSIGNED if kind == "u" else _SIGNED)
-        if node.op not in own or kind == "b":
-            raise ValueError(f"the operation '{node.op}' has no C text")
-        head, value = own[node.op]
-        if kind != "f":
-            head, value = _typed(head, kind), _typed(value, kind)
-        elif single:
+        head, value = _function(node, kind)
+        if kind == "f" and single:
             value = re.sub(r"\b(exp|sqrt)\(", r"\1f(", value)
     name = head.partition("(")[0].split()[1]
     return name, f"static {head}\n{{\n    return {value};\n}}\n"
+
+
+def _function(node: Node, kind: str) -> tuple[str, str]:
+    """Signature and result of the small function for an operation on numbers of a kind."""
+    form = OPS[node.op].c99 or C99()
+    if kind == "f" and form.real[0]:
+        return form.real
+    value = form.unsigned if kind == "u" and form.unsigned else form.whole
+    if kind in "fb" or not value:
+        raise LoweringError(f"the operation '{node.op}' has no C text")
+    arguments = "T a" if len(node.args) == 1 else "T a, T b"
+    return _typed(f"T {node.op}_T({arguments})", kind), _typed(value, kind)
 
 
 def _typed(text: str, kind: str) -> str:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from jaxstage.compiler.cxx.ops import constant, expression
 from jaxstage.compiler.ir.node import Node, ordered
-from jaxstage.compiler.passes.loop_reroll import Kinds, Roll, kinds, rolls
+from jaxstage.compiler.passes.loop_reroll import Alike, Roll, Search, alike_nodes, gathered
 from jaxstage.compiler.passes.store_forms import (
     COPY,
     Cells,
@@ -18,10 +18,11 @@ from jaxstage.compiler.passes.store_forms import (
     Store,
     excluded,
     guarded,
-    indexed,
-    rolled,
+    plan,
 )
 
+#: fewer rounds are no loop
+ROUNDS = 16
 #: operations of any number of arguments
 GATHERED = ("all_finite", "sum")
 TYPES = {"f": "vec", "i": "ints", "u": "ints", "l": "ints", "b": "mask"}
@@ -35,16 +36,21 @@ class Known(NamedTuple):
     reciprocals: dict[int, str]
 
 
-class _Writing(NamedTuple):
-    """What the statements of a function have in common. names: C text of what is computed; kinds:
-    what is alike; gathered: the loops of a sum or a claim of many parts, by its number."""
+class _Kernel(NamedTuple):
+    """What the statements of a function have in common.
+
+    Attributes:
+        names: C++ text of what is computed.
+        alike: What nodes have in common.
+        gathered: Number of a sum, or of a claim of many parts -> the loops in it.
+    """
 
     cells: Cells
     known: Known
     single: bool
     prefix: str
     names: dict[int, str]
-    kinds: Kinds
+    alike: Alike
     gathered: dict[int, list[Roll]]
 
     def name(self, node: Node) -> str:
@@ -60,16 +66,16 @@ class _Writing(NamedTuple):
             return node.args
         inside = {m for loop in loops for m in loop.members}
         rest = [a for i, a in enumerate(node.args) if i not in inside]
-        return [*rest, *(n for loop in loops for n in self.shared(loop.first))]
+        return [*rest, *(n for loop in loops for n in self.shared(loop.form))]
 
     def shared(self, first: Node) -> list[Node]:
         """What all rounds of a loop read."""
         inner = self.inside(first)
-        return [a for n in inner for a in self.reads(n) if not self.kinds.cells[a.id]]
+        return [a for n in inner for a in self.reads(n) if not self.alike.cells[a.id]]
 
     def inside(self, first: Node) -> list[Node]:
         """What a round of a loop computes."""
-        return ordered([first], lambda n: [a for a in self.reads(n) if self.kinds.cells[a.id]])
+        return ordered([first], lambda n: [a for a in self.reads(n) if self.alike.cells[a.id]])
 
     def text(self, node: Node) -> str:
         """C text of an operation."""
@@ -92,14 +98,11 @@ def write(
     """The statements that compute and store, each whole."""
     stores = list(stores)
     w = _writing(ordered([n for s in stores for n in s.needs]), cells, known, single, prefix)
-    loops: list[Rolled] = []
-    if cells.slot is not None:
-        loops, stores = rolled(stores, w.kinds, cells)
-    puts, plain = indexed(stores, cells)
+    loops, puts, plain = plan(stores, cells, _search(w.alike, cells))
     several, plain = guarded(plain, cells)
     roots = [n for s in [*plain, *puts] for n in s.needs]
     roots += [n for own in several for s in own for n in s.needs]
-    roots += [n for loop in loops for n in w.shared(loop.roll.first)]
+    roots += [n for loop in loops for n in w.shared(loop.roll.form)]
     roots += [loop.store.where for loop in loops if loop.store.where is not None]
     lines, at = _computed(w, ordered(roots, w.reads, known.names))
     placed = [(p, at(p.index)) for p in puts]
@@ -128,13 +131,18 @@ def computed(
     return lines, known._replace(names=w.names)
 
 
-def _writing(nodes: list[Node], cells: Cells, known: Known, single: bool, prefix: str) -> _Writing:
-    w = _Writing(cells, known, single, prefix, dict(known.names), kinds(nodes, known.names), {})
-    if cells.slot is not None:
-        for node in nodes:
-            if node.op in GATHERED and node.id not in known.names:
-                w.gathered[node.id] = rolls([*node.args], [0] * len(node.args), w.kinds, cells.slot)
-    return w
+def _search(alike: Alike, cells: Cells) -> Search | None:
+    return None if cells.slot is None else Search(ROUNDS, cells.slot, alike)
+
+
+def _writing(nodes: list[Node], cells: Cells, known: Known, single: bool, prefix: str) -> _Kernel:
+    alike = alike_nodes(nodes, known.names)
+    search = _search(alike, cells)
+    loops: dict[int, list[Roll]] = {}
+    if search is not None:
+        new = [n for n in nodes if n.id not in known.names]
+        loops = {number: found for number, (_, found) in gathered(new, search).items()}
+    return _Kernel(cells, known, single, prefix, dict(known.names), alike, loops)
 
 
 def _conditions(several: list[list[Store]], loops: list[Rolled]) -> list[Node]:
@@ -142,7 +150,7 @@ def _conditions(several: list[list[Store]], loops: list[Rolled]) -> list[Node]:
     return list(dict.fromkeys(n for n in found if n is not None))
 
 
-def _computed(w: _Writing, nodes: list[Node]) -> tuple[list[str], Callable[[Node], str]]:
+def _computed(w: _Kernel, nodes: list[Node]) -> tuple[list[str], Callable[[Node], str]]:
     """The statements of the nodes, and how the place that an index means is named."""
     loads: dict[int, list[Node]] = {}
     for node in nodes:
@@ -182,22 +190,22 @@ def _computed(w: _Writing, nodes: list[Node]) -> tuple[list[str], Callable[[Node
     return lines, at
 
 
-def _round(w: _Writing, roll: Roll) -> tuple[list[str], str]:
+def _round(w: _Kernel, roll: Roll) -> tuple[list[str], str]:
     """Statements of a round of a loop over ``k``, and the text of what it gives."""
     inner = w._replace(names=dict(w.names))
     lines = []
-    for node in w.inside(roll.first):
+    for node in w.inside(roll.form):
         inner.names[node.id] = f"{w.prefix}{node.id}"
         if node.op == "in":
-            form, start, step = roll.cells[node.id]
-            text = form.format(f"({start}+{step}*k)")
+            row = roll.rows[node.id]
+            text = row.text.format(f"({row.start}+{row.step}*k)")
         else:
             text = inner.text(node)
         lines.append(f"const {TYPES[node.kind]} {w.prefix}{node.id} = {text};")
-    return lines, inner.name(roll.first)
+    return lines, inner.name(roll.form)
 
 
-def _gathered(w: _Writing, node: Node) -> tuple[list[str], str]:
+def _gathered(w: _Kernel, node: Node) -> tuple[list[str], str]:
     """A sum, or the claim that all parts are finite: 0 x is 0, or NaN."""
     term = "all(0) * {}" if node.op == "all_finite" else "{}"
     loops = w.gathered.get(node.id, [])
@@ -221,7 +229,7 @@ def block(head: str, statements: list[str]) -> str:
     return "\n  ".join([head + " {", *statements, "}"])
 
 
-def _rolled(w: _Writing, loop: Rolled, where: str | None) -> str:
+def _rolled(w: _Kernel, loop: Rolled, where: str | None) -> str:
     """A loop of stores; only ``where``, if that is given."""
     store, roll = loop.store, loop.roll
     own, text = _round(w, roll)
@@ -315,7 +323,7 @@ def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
 
 
 def _guarded_stores(
-    w: _Writing, condition: Node, stores: list[Store], puts: list[tuple[Put, str]],
+    w: _Kernel, condition: Node, stores: list[Store], puts: list[tuple[Put, str]],
     never: list[Store], loops: list[Rolled],
 ) -> str:  # fmt: skip
     """Where the condition holds in every lane, as nearly always, there is nothing to select.

@@ -1,21 +1,12 @@
 """One operation in C++, see ``simd.h``."""
 
 import math
+from collections.abc import Callable
 
 from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.node import LIMITS, Node
-
-_SAME = {
-    "eq": "eq", "ne": "ne", "lt": "lt", "le": "le", "gt": "gt", "ge": "ge", "abs": "magnitude",
-    "sign": "sign", "floor": "floored", "ceil": "ceiled", "round": "rounded", "sqrt": "root",
-    "rsqrt": "inverse_root", "tanh": "hyperbolic_tangent", "logistic": "logistic",
-    "expm1": "exponential_less_one", "is_finite": "finite",
-    **{f: f"f_{f}" for f in ("log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "sinh",
-                             "cosh", "asinh", "acosh", "atanh", "exp2", "cbrt", "erf", "pow",
-                             "atan2")},
-}  # fmt: skip
-_SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-_LOGIC = {"and": "both", "or": "either", "xor": "differ", "not": "none"}
+from jaxstage.compiler.ir.operation import Cxx
+from jaxstage.compiler.ir.ops import OPS
 
 
 def constant(node: Node) -> str:
@@ -41,41 +32,35 @@ def number(value: float) -> str:
 
 
 def expression(node: Node, args: list[str], single: bool) -> str:
-    """The operation on named arguments. Raises LoweringError where there is no such code."""
+    """The operation on named arguments.
+
+    Raises:
+        LoweringError: There is no vector code for it.
+    """
     if node.kind == "l" and single and not _fits(node):
         raise LoweringError("64-bit integers in single precision")
-    if node.op in _LOGIC and node.kind == "b":
-        return f"{_LOGIC[node.op]}({', '.join(args)})"
-    if node.op == "select":
-        name = _chosen_by_size(node)
-        if name:
-            return f"{name}({', '.join(args[1:])})"
-        return f"pick({', '.join(args)}{', 0' if node.kind == 'b' else ''})"
-    if node.op == "cast":
-        return _cast(node, args[0], single)
-    if node.op == "exp":
-        name = "exponential_below" if node.args[0].high <= 88 else "exponential"
-        return f"{name}({args[0]})"
-    if node.op in ("min", "max"):
-        return _extreme(node, args)
-    if any(a.kind == "b" for a in node.args):
-        return _of_truths(node, args)
-    if node.op in ("lt", "le", "gt", "ge") and node.args[0].kind == "u" and single:
-        a, b = args
-        forms = {"lt": f"below({a}, {b})", "gt": f"below({b}, {a})",
-                 "le": f"none(below({b}, {a}))", "ge": f"none(below({a}, {b}))"}  # fmt: skip
-        return forms[node.op]
-    if node.op in _SAME:
-        return f"{_SAME[node.op]}({', '.join(args)})"
-    if node.op == "neg":
-        return _wrapped(node, f"-{args[0]}")
-    if node.op == "rem":
-        return f"remainder_of({args[0]}, {args[1]})" if node.kind != "u" else _refuse(node)
+    special = _SPECIAL.get(node.op)
+    if special is not None:
+        return special(node, args, single)
+    form, kinds = OPS[node.op].cxx or Cxx(), {a.kind for a in node.args}
+    if "b" in kinds:
+        return form.truth.format(*args) if form.truth else _refuse(node)
+    if kinds == {"u"} and single and node.op in _UNSIGNED:
+        return _UNSIGNED[node.op].format(*args)
     if node.op == "div" and node.kind != "f":
         return _quotient(node, args)
-    if node.op in _SIGNS:
-        return _wrapped(node, f"{args[0]} {_SIGNS[node.op]} {args[1]}")
-    return _bits(node, args)
+    if not form.text or (node.op == "rem" and node.kind == "u"):
+        return _refuse(node)
+    return _wrapped(node, form.text.format(*args))
+
+
+#: comparisons of unsigned integers where a lane is no wider than they are
+_UNSIGNED = {
+    "lt": "below({0}, {1})",
+    "gt": "below({1}, {0})",
+    "le": "none(below({1}, {0}))",
+    "ge": "none(below({0}, {1}))",
+}
 
 
 def _refuse(node: Node) -> str:
@@ -89,19 +74,32 @@ def _fits(node: Node) -> bool:
 
 def _wrapped(node: Node, text: str) -> str:
     """With the overflow of its kind, where there can be one."""
-    if node.kind in "iu" and (node.low, node.high) == LIMITS[node.kind]:
+    may_wrap = OPS[node.op].wraps and (node.low, node.high) == LIMITS[node.kind]
+    if node.kind in "iu" and may_wrap:
         return f"to_{'u' if node.kind == 'u' else ''}int32({text})"
     return text
 
 
-def _extreme(node: Node, args: list[str]) -> str:
-    name = "smaller" if node.op == "min" else "larger"
+def _extreme(node: Node, args: list[str], single: bool) -> str:
     first, second = node.args
     if node.kind == "f" and first.nan and second.nan:
+        name = "smaller" if node.op == "min" else "larger"
         return f"{name}_or_nan({', '.join(args)})"
     if node.kind == "f" and first.nan:
         args = args[::-1]
-    return f"{name}({', '.join(args)})"
+    return (OPS[node.op].cxx or Cxx()).text.format(*args)
+
+
+def _select(node: Node, args: list[str], single: bool) -> str:
+    name = _chosen_by_size(node)
+    if name:
+        return f"{name}({', '.join(args[1:])})"
+    return f"pick({', '.join(args)}{', 0' if node.kind == 'b' else ''})"
+
+
+def _exp(node: Node, args: list[str], single: bool) -> str:
+    name = "exponential_below" if node.args[0].high <= 88 else "exponential"
+    return f"{name}({args[0]})"
 
 
 def _chosen_by_size(node: Node) -> str | None:
@@ -113,16 +111,8 @@ def _chosen_by_size(node: Node) -> str | None:
     return names.get((which.args[0].id, which.args[1].id))
 
 
-def _of_truths(node: Node, args: list[str]) -> str:
-    if node.op == "eq":
-        return f"none(differ({', '.join(args)}))"
-    if node.op == "ne":
-        return f"differ({', '.join(args)})"
-    return _refuse(node)
-
-
-def _cast(node: Node, text: str, single: bool) -> str:
-    source, kind = node.args[0], node.kind
+def _cast(node: Node, args: list[str], single: bool) -> str:
+    source, kind, text = node.args[0], node.kind, args[0]
     if source.kind == "b":
         return f"as_real({text})" if kind == "f" else f"as_ints({text})"
     if kind == "f":
@@ -147,12 +137,11 @@ def _quotient(node: Node, args: list[str]) -> str:
     return f"quotient{'_unsigned' if node.kind == 'u' else ''}({args[0]}, {args[1]})"
 
 
-def _bits(node: Node, args: list[str]) -> str:
-    signs = {"and": "&", "or": "|", "xor": "^", "shl": "<<"}
-    if node.op in signs:
-        return _wrapped(node, f"{args[0]} {signs[node.op]} {args[1]}")
-    if node.op == "not":
-        return _wrapped(node, f"~{args[0]}")
-    if node.op == "shr":
-        return f"shifted_right({args[0]}, {args[1]})"
-    return _refuse(node)
+#: operations whose text depends on what is known of their arguments
+_SPECIAL: dict[str, Callable[[Node, list[str], bool], str]] = {
+    "select": _select,
+    "cast": _cast,
+    "exp": _exp,
+    "min": _extreme,
+    "max": _extreme,
+}

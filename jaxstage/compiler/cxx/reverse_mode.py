@@ -14,7 +14,7 @@ from jaxstage.compiler.cxx.layout import cells
 from jaxstage.compiler.cxx.translation_unit import Source, function_text, holds, template
 from jaxstage.compiler.ir.graph import Graph
 from jaxstage.compiler.ir.node import Node, ordered
-from jaxstage.compiler.passes.loop_reroll import kinds
+from jaxstage.compiler.passes.loop_reroll import alike_nodes
 from jaxstage.compiler.passes.specialize import specialize
 from jaxstage.compiler.passes.store_forms import COPY, Cells, Store, guarded, indexed
 
@@ -55,7 +55,7 @@ def tape_of(graph: Graph, step: list[Store], back: list[Store], cells: Cells) ->
         return None
     tape = Tape(condition, usual[0], usual[1])
     nodes = ordered(n for s in (*tape.step, *tape.back) for n in s.needs)
-    in_loops = kinds(nodes, ()).cells
+    in_loops = alike_nodes(nodes, ()).cells
     return None if any(in_loops[n.id] for n in _taped(tape.back, cells)) else tape
 
 

@@ -1,4 +1,4 @@
-"""Binding-time analysis: a jaxpr cut into what all runs share, and what each run computes itself.
+"""Binding-time analysis: what all runs share, and what each run computes for itself.
 
 What depends on shared arrays and the tick alone is the same in every run: JAX computes it once.
 Calls are put in line first, and what nobody reads is left out.

@@ -36,7 +36,8 @@ from jaxstage.compiler.frontend.reductions import REDUCTIONS, dot, elementwise
 from jaxstage.compiler.frontend.shape_ops import SHAPE_OPS
 from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.graph import Graph, new_graph
-from jaxstage.compiler.ir.node import FUNCTIONS, Node, kind_of
+from jaxstage.compiler.ir.node import Node, kind_of
+from jaxstage.compiler.ir.ops import OPS
 
 #: longest inner loop that is written out, and the most equations that this may make of it
 UNROLL, EQUATIONS = 256, 20_000
@@ -196,11 +197,8 @@ def _shift_right(g: Graph, kind: str, params: Any, x: Node, by: Node) -> Node:
 
 
 _RENAMED = {"add_any": "add", "lt_to": "lt", "le_to": "le", "eq_to": "eq"}
-_NAMES = (
-    "add sub mul div max min rem pow atan2 neg abs sign eq ne lt le gt ge and or xor not is_finite"
-)
 _ELEMENTWISE: dict[str, Callable[..., Node]] = {
-    **{name: _plain(name) for name in [*_NAMES.split(), *FUNCTIONS]},
+    **{op.name: _plain(op.name) for op in OPS.values() if op.primitive},
     **{name: _plain(other) for name, other in _RENAMED.items()},
     "square": lambda g, kind, params, x: g.op("mul", x, x),
     "one_minus_square": _one_minus_square,

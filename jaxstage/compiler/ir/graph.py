@@ -1,16 +1,12 @@
-"""A graph of scalar operations: equal nodes are one, constants are folded, ranges are known.
+"""The graph of scalar operations: value numbering, constant folding and intervals as it grows.
 
-A node's kind is its type: ``f`` real, ``i`` int32, ``u`` uint32, ``l`` int64, ``b`` bool. Its
-operation is one of:
+Equal nodes are one node, constants are folded, and each node knows the bounds of its value. The
+operations and what they mean stand in `ops`. Leaves have a value in place of arguments:
 
-* leaves: ``const`` (value), ``in`` (value = (group, index)), ``load`` (value = (source, offset),
-  one argument: the element ``offset + argument`` of an array that is kept in memory);
-* arithmetic: add sub mul div neg abs sign min max rem pow atan2, the functions of `FUNCTIONS`;
-  min, max and sign pass NaN on as jnp does; integers divide and leave remainders as C does;
-* comparison and logic: eq ne lt le gt ge, and or not (bits for integers), xor, shl, shr (logical
-  shifts), is_finite;
-* ``select`` (condition, where true, where false), ``cast`` to the node's kind (truncating),
-  ``bits`` and ``real_of_bits`` (the representation of a real, as the integer of its size).
+* ``const``: the number;
+* ``in``: (group, index);
+* ``load``: (source, offset) with one argument, the element ``offset + argument`` of an array that
+  is kept in memory.
 """
 
 import math
@@ -18,15 +14,24 @@ from typing import Any, NamedTuple
 
 from jaxstage.compiler.ir.constant_folding import fold
 from jaxstage.compiler.ir.intervals import value_range
-from jaxstage.compiler.ir.node import COMPARISONS, LIMITS, Node
-from jaxstage.compiler.ir.simplify import simpler
+from jaxstage.compiler.ir.node import LIMITS, Node
+from jaxstage.compiler.ir.ops import OPS
+
+#: largest finite real, in single and double precision
+LARGEST = {True: 3.4028234663852886e38, False: 1.7976931348623157e308}
+
+#: bounds of a value and whether it may be NaN
+Facts = tuple[float, float, bool]
 
 
 class Graph(NamedTuple):
     """Nodes in the order in which they were made: arguments stand before their users.
 
-    largest: of the real type; what may exceed it may be infinite. rich: for a kernel, which may
-    also hold ``all_finite`` and ``sum`` of any number of arguments, and ``loop`` (see `inner`).
+    Attributes:
+        nodes: All nodes; the number of a node is its place here.
+        table: Value numbering: what makes nodes equal -> the node.
+        largest: Largest finite real; what may exceed it may be infinite.
+        rich: Whether it is for a kernel, which may also hold ``all_finite``, ``sum`` and ``loop``.
     """
 
     nodes: list[Node]
@@ -36,70 +41,89 @@ class Graph(NamedTuple):
 
     def const(self, value: Any, kind: str) -> Node:
         """A constant."""
-        if kind == "f":
-            number: Any = float(value)
-        else:
-            number = bool(value) if kind == "b" else int(value)
-        nan = kind == "f" and math.isnan(number)
-        bound = math.nan if nan else number
-        bounds = (-math.inf, math.inf) if nan else (bound, bound)
-        return self._found("const", kind, (), number, bounds, nan)
+        number: float = float(value) if kind == "f" else int(value)
+        number = bool(value) if kind == "b" else number
+        if math.isnan(number):
+            return self._numbered("const", kind, (), number, (*LIMITS["f"], True))
+        return self._numbered("const", kind, (), number, (number, number, False))
 
     def input(
-        self, group: Any, index: int, kind: str, finite: bool = False, bounds: Any = None
+        self,
+        group: Any,
+        index: int,
+        kind: str,
+        finite: bool = False,
+        bounds: tuple[float, float] | None = None,
     ) -> Node:
-        """An input. finite: the caller promises that it is; bounds: its range, if known."""
-        low, high = bounds or LIMITS[kind]
-        if kind == "f" and finite and not bounds:
-            low, high = -self.largest, self.largest
-        return self._found("in", kind, (), (group, index), (low, high), kind == "f" and not finite)
+        """An input.
+
+        Args:
+            group: The array that it belongs to.
+            index: Its element there.
+            kind: Kind of the number.
+            finite: The caller promises that it is finite.
+            bounds: Smallest and largest value, if known.
+        """
+        facts = self._outside(kind, finite)
+        if bounds is not None:
+            facts = (*bounds, facts[2])
+        return self._numbered("in", kind, (), (group, index), facts)
 
     def load(self, source: Any, offset: int, index: Node, kind: str, finite: bool = False) -> Node:
         """The element ``offset + index`` of an array in memory. index: in range, always."""
-        low, high = LIMITS[kind]
+        facts = self._outside(kind, finite)
+        return self._numbered("load", kind, (index,), (source, offset), facts)
+
+    def _outside(self, kind: str, finite: bool) -> Facts:
+        """What is known of a number that comes from outside."""
         if kind == "f" and finite:
-            low, high = -self.largest, self.largest
-        value = (source, offset)
-        return self._found("load", kind, (index,), value, (low, high), kind == "f" and not finite)
+            return -self.largest, self.largest, False
+        return (*LIMITS[kind], kind == "f")
 
     def special(self, op: str, args: tuple[Node, ...], value: Any, kind: str) -> Node:
-        """A ``loop`` or what comes after it, see `inner`; a ``sum``."""
-        return self._found(op, kind, args, value, LIMITS[kind], kind == "f")
+        """A ``loop`` or what comes after it, see `inner_loop`; a ``sum``."""
+        return self._numbered(op, kind, args, value, (*LIMITS[kind], kind == "f"))
 
     def op(self, name: str, *args: Node, kind: str = "") -> Node:
-        """An operation; kind: of the result, that of the last argument if left out."""
-        if name in COMPARISONS or name in ("is_finite", "all_finite"):
-            kind = "b"
+        """An operation, folded and simplified.
+
+        Args:
+            name: A key of `OPS`.
+            args: Its arguments.
+            kind: Kind of the result; left out, that which the operation gives.
+        """
+        op = OPS[name]
+        if op.gives not in ("", "?"):
+            kind = op.gives
         kind = kind or args[-1].kind
         if all(a.op == "const" for a in args):
-            value = fold(name, kind, [a.value for a in args], [a.kind for a in args])
+            value = fold(op, kind, [a.value for a in args], [a.kind for a in args])
             if value is not None:
                 return self.const(value, kind)
-        simple = simpler(self, name, kind, args)
+        simple = op.rewrite(self, kind, args) if op.rewrite is not None else None
         if simple is not None:
             return simple
-        low, high, nan = value_range(name, kind, args, self.largest)
-        return self._found(name, kind, args, None, (low, high), nan)
+        return self._numbered(name, kind, args, None, value_range(op, kind, args, self.largest))
 
     def rebuilt(self, node: Node, args: tuple[Node, ...]) -> Node:
         """A node with other arguments."""
         if node.value is None and node.op != "sum":
             return self.op(node.op, *args, kind=node.kind)
-        bounds = node.low, node.high
-        return self._found(node.op, node.kind, args, node.value, bounds, node.nan)
+        facts = node.low, node.high, node.nan
+        return self._numbered(node.op, node.kind, args, node.value, facts)
 
-    def _found(
-        self, op: str, kind: str, args: tuple[Node, ...], value: Any, bounds: Any, nan: bool
+    def _numbered(
+        self, op: str, kind: str, args: tuple[Node, ...], value: Any, facts: Facts
     ) -> Node:
+        """The node of these parts: that which is there already, or a new one."""
         told = value.number if op == "loop" else repr(value)
         key = (op, kind, tuple(a.id for a in args), told)
         node = self.table.get(key)
         if node is None:
-            low, high = (float(b) if kind == "f" else b for b in bounds)
-            node = Node(
-                op=op, kind=kind, args=args, value=value, low=low, high=high, nan=nan,
-                id=len(self.nodes),
-            )  # fmt: skip
+            low, high, nan = facts
+            if kind == "f":
+                low, high = float(low), float(high)
+            node = Node(op, kind, args, value, low, high, nan, len(self.nodes))
             self.nodes.append(node)
             self.table[key] = node
         return node
@@ -107,4 +131,4 @@ class Graph(NamedTuple):
 
 def new_graph(single: bool = False, rich: bool = False) -> Graph:
     """An empty graph. single: reals are float32, else float64."""
-    return Graph([], {}, 3.4028234663852886e38 if single else 1.7976931348623157e308, rich)
+    return Graph([], {}, LARGEST[single], rich)

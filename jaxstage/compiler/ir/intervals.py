@@ -1,92 +1,152 @@
-"""The range of a result, from the ranges of its arguments."""
+"""Interval analysis: bounds of a result, and whether it may be NaN, from those of the arguments.
+
+A rule takes the kind of the result and the arguments. Bounds that leave the kind, or that are NaN,
+mean that nothing is known.
+"""
 
 import math
+from collections.abc import Callable
 
 from jaxstage.compiler.ir.node import LIMITS, Node
+from jaxstage.compiler.ir.operation import IntervalRule, Op
+
+Interval = tuple[float, float]
+Args = tuple[Node, ...]
 
 
-def value_range(
-    name: str, kind: str, a: tuple[Node, ...], largest: float
-) -> tuple[float, float, bool]:
-    """Smallest and largest value of an operation, and whether it may be NaN."""
-    low, high = _bounds(name, kind, a)
-    nan = kind == "f" and _may_be_nan(name, a)
-    limits = LIMITS[kind]
+def value_range(op: Op, kind: str, args: Args, largest: float) -> tuple[float, float, bool]:
+    """Smallest and largest value of an operation, and whether it may be NaN.
+
+    Args:
+        op: The operation.
+        kind: Kind of the result.
+        args: Its arguments.
+        largest: The largest finite real; what may exceed it may be infinite.
+    """
+    low, high = op.interval(kind, args)
+    least, most = LIMITS[kind]
+    if math.isnan(low) or math.isnan(high):
+        low, high = least, most
     if kind == "f":
-        if math.isnan(low) or math.isnan(high):
-            low, high = limits
+        nan = any(a.nan for a in args if a.kind == "f") or op.nan(args)
         return (-math.inf if low < -largest else low), (math.inf if high > largest else high), nan
-    if math.isnan(low) or math.isnan(high) or low < limits[0] or high > limits[1]:
-        low, high = limits  # it may wrap around
+    if low < least or high > most:  # it may wrap around
+        low, high = least, most
     return low, high, False
 
 
-def _products(x: Node, y: Node) -> list[float]:
-    return [0 if 0 in (p, q) else p * q for p in (x.low, x.high) for q in (y.low, y.high)]
+# --- rules ---------------------------------------------------------------------------------------
 
 
-def _bounds(name: str, kind: str, a: tuple[Node, ...]) -> tuple[float, float]:
-    x, y = a[0], a[-1]
-    if name == "add":
-        return x.low + y.low, x.high + y.high
-    if name == "sub":
-        return x.low - y.high, x.high - y.low
-    if name == "neg":
-        return -x.high, -x.low
-    if name == "mul":
-        every = [0.0, *_products(x, x)] if x is y else _products(x, y)
-        return (0 if x is y else min(every)), max(every)
-    if name == "abs":
-        return (0 if x.low <= 0 <= x.high else min(abs(x.low), abs(x.high))), max(-x.low, x.high)
-    if name in ("min", "max"):
-        pick = min if name == "min" else max
-        return pick(x.low, y.low), pick(x.high, y.high)
-    if name == "select":
-        return min(a[1].low, y.low), max(a[1].high, y.high)
-    if name == "cast":
-        return _cast_bounds(x, kind)
-    if name in ("floor", "ceil", "round"):
-        low = x.low if math.isinf(x.low) else math.floor(x.low)
-        return low, (x.high if math.isinf(x.high) else math.ceil(x.high))
-    if name == "rem" and y.low > 0 and y.high < math.inf:
-        top = y.high if kind == "f" else y.high - 1
-        return (0 if x.low >= 0 else -top), (0 if x.high <= 0 else min(top, max(x.high, 0)))
-    if name == "div" and kind != "f" and y.low > 0 and x.low >= 0:
-        return x.low // y.high, x.high // y.low
-    if name == "sign" or name == "tanh" or name in ("sin", "cos", "erf"):
-        return -1, 1
-    if name in ("exp", "exp2", "sqrt"):
-        return 0, math.inf
-    if name == "logistic":
-        return 0, 1
-    if name == "and" and kind in "iul" and y.op == "const" and y.value >= 0:
-        return 0, y.value
-    return LIMITS[kind]
+def between(low: float, high: float) -> IntervalRule:
+    """The rule of a function with fixed bounds."""
+    return lambda kind, args: (low, high)
 
 
-def _cast_bounds(x: Node, kind: str) -> tuple[float, float]:
-    low, high = LIMITS[kind]
+def add(kind: str, args: Args) -> Interval:
+    """Bounds of x + y."""
+    x, y = args
+    return x.low + y.low, x.high + y.high
+
+
+def sub(kind: str, args: Args) -> Interval:
+    """Bounds of x - y."""
+    x, y = args
+    return x.low - y.high, x.high - y.low
+
+
+def neg(kind: str, args: Args) -> Interval:
+    """Bounds of -x."""
+    return -args[0].high, -args[0].low
+
+
+def mul(kind: str, args: Args) -> Interval:
+    """Bounds of x y; a square is not negative."""
+    x, y = args
+    ends = [(p, q) for p in (x.low, x.high) for q in (y.low, y.high)]
+    products = [0 if 0 in pair else pair[0] * pair[1] for pair in ends]
+    if x is y:
+        return 0, max(0, *products)
+    return min(products), max(products)
+
+
+def magnitude(kind: str, args: Args) -> Interval:
+    """Bounds of |x|."""
+    low, high = args[0].low, args[0].high
+    return (0 if low <= 0 <= high else min(abs(low), abs(high))), max(-low, high)
+
+
+def extreme(pick: Callable[[float, float], float]) -> IntervalRule:
+    """The rule of a minimum or maximum."""
+    return lambda kind, args: (pick(args[0].low, args[1].low), pick(args[0].high, args[1].high))
+
+
+def select(kind: str, args: Args) -> Interval:
+    """Bounds of either case."""
+    return min(args[1].low, args[2].low), max(args[1].high, args[2].high)
+
+
+def rounded(kind: str, args: Args) -> Interval:
+    """Bounds of a whole number beside x."""
+    low, high = args[0].low, args[0].high
+    below = low if math.isinf(low) else math.floor(low)
+    return below, (high if math.isinf(high) else math.ceil(high))
+
+
+def rem(kind: str, args: Args) -> Interval:
+    """Bounds of the remainder by a positive number; it has the sign of the dividend."""
+    x, y = args
+    if not 0 < y.low <= y.high < math.inf:
+        return LIMITS[kind]
+    top = y.high if kind == "f" else y.high - 1
+    return (0 if x.low >= 0 else -top), (0 if x.high <= 0 else min(top, max(x.high, 0)))
+
+
+def div(kind: str, args: Args) -> Interval:
+    """Bounds of the quotient of integers that are not negative."""
+    x, y = args
+    if kind == "f" or y.low <= 0 or x.low < 0:
+        return LIMITS[kind]
+    return x.low // y.high, x.high // y.low
+
+
+def bits_of(kind: str, args: Args) -> Interval:
+    """Bounds of x & mask, for a constant mask that is not negative."""
+    mask = args[1]
+    known = kind in "iul" and mask.op == "const" and mask.value >= 0
+    return (0, mask.value) if known else LIMITS[kind]
+
+
+def cast(kind: str, args: Args) -> Interval:
+    """Bounds of a conversion: reals truncate and saturate, NaN becomes 0."""
+    x, (low, high) = args[0], LIMITS[kind]
     if kind == "f" or x.kind != "f":
         return x.low, x.high
-    whole = [edge if math.isinf(v) else math.trunc(v) for v, edge in ((x.low, low), (x.high, high))]
-    if x.nan:  # NaN becomes 0
-        whole = [min(whole[0], 0), max(whole[1], 0)]
-    return min(max(whole[0], low), high), min(max(whole[1], low), high)
+    first = low if math.isinf(x.low) else math.trunc(x.low)
+    last = high if math.isinf(x.high) else math.trunc(x.high)
+    if x.nan:
+        first, last = min(first, 0), max(last, 0)
+    return min(max(first, low), high), min(max(last, low), high)
 
 
-#: functions of a finite number that are never NaN
-_SAFE = frozenset("neg abs sign floor ceil round exp exp2 expm1 sqrt tanh sinh cosh atan logistic "
-                  "erf cbrt asinh select cast min max atan2 mul".split())  # fmt: skip
+# --- NaN -----------------------------------------------------------------------------------------
 
 
-def _may_be_nan(name: str, a: tuple[Node, ...]) -> bool:
-    reals = [x for x in a if x.kind == "f"]
-    if any(x.nan for x in reals):
-        return True
-    if name in ("add", "sub", "mul", "sin", "cos"):
-        return not all(x.finite for x in reals)
-    if name in ("sqrt",):
-        return a[0].low < 0
-    if name == "div":
-        return not (all(x.finite for x in reals) and (a[1].low > 0 or a[1].high < 0))
-    return name not in _SAFE
+def never(args: Args) -> bool:
+    """A function that makes no NaN."""
+    return False
+
+
+def unless_finite(args: Args) -> bool:
+    """What infinite arguments may make NaN."""
+    return not all(a.finite for a in args)
+
+
+def of_negative(args: Args) -> bool:
+    """A function that has no value below zero."""
+    return args[0].low < 0
+
+
+def unless_divisible(args: Args) -> bool:
+    """A quotient of finite numbers is one unless the divisor may be zero."""
+    return unless_finite(args) or args[1].low <= 0 <= args[1].high

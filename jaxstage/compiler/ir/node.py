@@ -1,4 +1,4 @@
-"""One scalar of a graph, and the kinds of scalars."""
+"""The node of the graph: one scalar of static single assignment, and the kinds of scalars."""
 
 import dataclasses
 import math
@@ -10,12 +10,7 @@ import numpy as np
 from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.ir.key_types import is_key_type
 
-FUNCTIONS = frozenset(
-    "floor ceil round exp exp2 expm1 log log1p sqrt rsqrt cbrt sin cos tan asin acos atan sinh "
-    "cosh tanh asinh acosh atanh logistic erf erf_inv".split()
-)
-COMPARISONS = frozenset("eq ne lt le gt ge".split())
-#: smallest and largest value of each kind
+#: kind -> smallest and largest value: truth value, int32, uint32, int64, real
 LIMITS: dict[str, tuple[float, float]] = {
     "b": (0, 1),
     "i": (-(2**31), 2**31 - 1),
@@ -24,10 +19,36 @@ LIMITS: dict[str, tuple[float, float]] = {
     "f": (-math.inf, math.inf),
 }
 
+#: type of arrays -> kind of their elements; small integers are computed as int32
+_KINDS = {
+    "bool": "b",
+    "float32": "f",
+    "float64": "f",
+    "int32": "i",
+    "uint32": "u",
+    "int64": "l",
+    "int8": "i",
+    "int16": "i",
+}
+
 
 @dataclasses.dataclass(frozen=True)
 class Node:
-    """One scalar. low, high: range of its value where it is not NaN; nan: may it be NaN."""
+    """One scalar value: an operation and its arguments, with what is known of the result.
+
+    Nodes are compared by identity: a graph makes equal ones once.
+
+    Attributes:
+        op: Name of the operation, see `ops`.
+        kind: Kind of the value, a key of `LIMITS`.
+        args: What the operation reads.
+        value: What an operation needs beside its arguments: the number of a ``const``, the place
+            of an ``in`` or ``load``, the body of a ``loop``.
+        low: Lower bound of the value, where it is not NaN.
+        high: Upper bound of the value, where it is not NaN.
+        nan: Whether the value may be NaN.
+        id: Position in the graph.
+    """
 
     op: str
     kind: str
@@ -50,18 +71,16 @@ class Node:
 
     @property
     def finite(self) -> bool:
-        """Whether it is certainly neither NaN nor infinite."""
+        """Whether the value is certainly neither NaN nor infinite."""
         return not self.nan and self.low > -math.inf and self.high < math.inf
 
 
-_KINDS = {
-    "bool": "b", "float32": "f", "float64": "f", "int32": "i", "uint32": "u", "int64": "l",
-    "int8": "i", "int16": "i",
-}  # fmt: skip
-
-
 def kind_of(dtype: Any) -> str:
-    """The kind of nodes that hold a type. Raises LoweringError for one that has none."""
+    """The kind of nodes that hold a type of arrays; ``k`` for random keys.
+
+    Raises:
+        LoweringError: No kind holds the type.
+    """
     if is_key_type(dtype):
         return "k"
     name = np.dtype(dtype).name
@@ -80,9 +99,15 @@ def ordered(
     reads: Callable[[Node], Iterable[Node]] = arguments,
     known: Iterable[int] = (),
 ) -> list[Node]:
-    """Every node that the roots need, arguments before users, depth first: short live ranges.
+    """Topological order, depth first, so that live ranges are short.
 
-    reads: what a node needs. known: numbers of nodes that are there already, with what they need.
+    Args:
+        roots: The nodes that are needed.
+        reads: What a node needs before it.
+        known: Numbers of nodes that are there already, with all that they need.
+
+    Returns:
+        Every node that the roots need, arguments before users.
     """
     seen = set(known)
     out: list[Node] = []

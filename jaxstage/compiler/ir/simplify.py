@@ -1,18 +1,20 @@
-"""Operations that are equal to something simpler.
+"""Algebraic simplification: operations that are equal to something simpler.
 
-Every rule takes the graph, the kind of the result and the arguments, and gives a node or None.
+A rule takes the graph, the kind of the result and the arguments, and gives a node or None. Values
+are kept to the bit, NaN and infinity too, with one licence that XLA takes as well: a zero may come
+out with the other sign (``x + 0`` is ``x``).
 """
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 from jaxstage.compiler.ir.node import LIMITS, Node
+from jaxstage.compiler.ir.operation import Rewrite
 
+if TYPE_CHECKING:
+    from jaxstage.compiler.ir.graph import Graph
 
-def simpler(g: Any, name: str, kind: str, a: tuple[Node, ...]) -> Node | None:
-    """A node that is equal to the operation and simpler, or None."""
-    rule = _RULES.get(name)
-    return rule(g, kind, a) if rule else None
+Args = tuple[Node, ...]
 
 
 def _is(node: Node, number: float) -> bool:
@@ -23,7 +25,8 @@ def _negative(node: Node) -> bool:
     return node.kind == "f" and math.copysign(1.0, node.value) < 0
 
 
-def _add(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def add(g: "Graph", kind: str, a: Args) -> Node | None:
+    """x + y: constants of integers together, subtraction, and sums of selections as one."""
     x, y = a
     if _zero(x):
         return y
@@ -47,7 +50,7 @@ def _zero(node: Node) -> bool:
     return node.op == "const" and node.value == 0
 
 
-def _joined(g: Any, x: Node, y: Node) -> Node | None:
+def _joined(g: "Graph", x: Node, y: Node) -> Node | None:
     """(c ? 0 : p) + (c ? q : 0) = c ? q : p."""
     if x.args[0] is not y.args[0]:
         return None
@@ -58,7 +61,8 @@ def _joined(g: Any, x: Node, y: Node) -> Node | None:
     return None
 
 
-def _sub(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def sub(g: "Graph", kind: str, a: Args) -> Node | None:
+    """x - y."""
     x, y = a
     if _zero(y):
         return x
@@ -73,7 +77,8 @@ def _sub(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     return None
 
 
-def _mul(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def mul(g: "Graph", kind: str, a: Args) -> Node | None:
+    """x y; a zero only where the other is finite."""
     for x, y in (a, a[::-1]):
         if _is(x, 1):
             return y
@@ -86,7 +91,8 @@ def _mul(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     return None
 
 
-def _div(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def div(g: "Graph", kind: str, a: Args) -> Node | None:
+    """x / y; a power of two is a product."""
     x, y = a
     if _is(y, 1) or (_zero(x) and kind == "f"):
         return x
@@ -95,7 +101,8 @@ def _div(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     return None
 
 
-def _neg(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def neg(g: "Graph", kind: str, a: Args) -> Node | None:
+    """-x."""
     x = a[0]
     if x.op == "neg":
         return x.args[0]
@@ -104,7 +111,8 @@ def _neg(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     return None
 
 
-def _select(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def select(g: "Graph", kind: str, a: Args) -> Node | None:
+    """The case of a constant condition; nested selections and truth values as logic."""
     c, yes, no = a
     if c.op == "const":
         return yes if c.value else no
@@ -125,7 +133,8 @@ def _select(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     return None
 
 
-def _and(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def both(g: "Graph", kind: str, a: Args) -> Node | None:
+    """Conjunction of truth values."""
     if kind != "b":
         return None
     for x, y in (a, a[::-1]):
@@ -134,7 +143,8 @@ def _and(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     return a[0] if a[0] is a[1] else None
 
 
-def _or(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def either(g: "Graph", kind: str, a: Args) -> Node | None:
+    """Disjunction of truth values."""
     if kind == "b":
         for x, y in (a, a[::-1]):
             if x.op == "const":
@@ -143,11 +153,13 @@ def _or(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     return None
 
 
-def _not(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def negation(g: "Graph", kind: str, a: Args) -> Node | None:
+    """Double negation."""
     return a[0].args[0] if a[0].op == "not" else None
 
 
-def _cast(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def cast(g: "Graph", kind: str, a: Args) -> Node | None:
+    """A conversion to the own kind, to a truth value, or there and back without loss."""
     x = a[0]
     if x.kind == kind:
         return x
@@ -160,7 +172,8 @@ def _cast(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     return None
 
 
-def _is_finite(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def is_finite(g: "Graph", kind: str, a: Args) -> Node | None:
+    """What is known to be finite, and what is as finite as its part."""
     x = a[0]
     if x.finite or x.kind != "f":
         return g.const(True, "b")
@@ -179,8 +192,10 @@ def _is_finite(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
     return None
 
 
-def _ordered(name: str) -> Any:
-    def rule(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def comparison(name: str) -> Rewrite:
+    """The rule of ``lt``, ``le``, ``eq`` or ``ne``: decided where the bounds tell."""
+
+    def rule(g: "Graph", kind: str, a: Args) -> Node | None:
         x, y = a
         if x.nan or y.nan:
             return None
@@ -205,38 +220,34 @@ def _chosen(node: Node) -> bool:
     return node.op == "select" and node.kind != "f" and all(n.op == "const" for n in node.args[1:])
 
 
-def _which(g: Any, node: Node, value: Any) -> Node:
+def _which(g: "Graph", node: Node, value: float) -> Node:
     """(c ? p : q) == value, for constants p and q."""
     yes, no = (n.value == value for n in node.args[1:])
     return g.op("select", node.args[0], g.const(yes, "b"), g.const(no, "b"))
 
 
-def _flipped(name: str) -> Any:
+def flipped(name: str) -> Rewrite:
+    """The rule of ``gt`` and ``ge``: the other comparison with its arguments exchanged."""
     return lambda g, kind, a: g.op(name, a[1], a[0])
 
 
-def _max(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def maximum(g: "Graph", kind: str, a: Args) -> Node | None:
+    """The larger one, where the bounds tell."""
     for x, y in (a, a[::-1]):
         if x is y or (x.low >= y.high and not y.nan):
             return x
     return None
 
 
-def _min(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def minimum(g: "Graph", kind: str, a: Args) -> Node | None:
+    """The smaller one, where the bounds tell."""
     for x, y in (a, a[::-1]):
         if x is y or (x.high <= y.low and not y.nan):
             return x
     return None
 
 
-def _rem(g: Any, kind: str, a: tuple[Node, ...]) -> Node | None:
+def rem(g: "Graph", kind: str, a: Args) -> Node | None:
+    """The remainder of what is smaller than the divisor."""
     x, y = a
     return x if kind != "f" and x.low >= 0 and x.high < y.low else None
-
-
-_RULES: dict[str, Any] = {
-    "add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "select": _select,
-    "and": _and, "or": _or, "not": _not, "cast": _cast, "is_finite": _is_finite,
-    "lt": _ordered("lt"), "le": _ordered("le"), "eq": _ordered("eq"), "ne": _ordered("ne"),
-    "gt": _flipped("lt"), "ge": _flipped("le"), "max": _max, "min": _min, "rem": _rem,
-}  # fmt: skip

@@ -1,17 +1,31 @@
-"""What a tick stores: cells set one by one, at an index, under a condition, or in a loop."""
+"""Forms of stores: cells set one by one, at an index, under a condition, or in a loop."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from jaxstage.compiler.ir.node import LIMITS, Node
-from jaxstage.compiler.passes.loop_reroll import Kinds, Roll, rolls
+from jaxstage.compiler.passes.loop_reroll import (
+    Roll,
+    Row,
+    Search,
+    groups_of_alike,
+    rolls,
+)
 
 #: in a C++ text: the number of a vector of runs
 COPY = "@"
 
 
 class Store(NamedTuple):
-    """What becomes of a result: cell ``slot`` of an array, set or added to; only ``where``."""
+    """What becomes of a result.
+
+    Attributes:
+        array: Text of the array that it goes to.
+        slot: Which cell of it.
+        node: The value.
+        add: Whether it is added to the cell, else it replaces it.
+        where: Only where this holds; None for always.
+    """
 
     array: str
     slot: int
@@ -26,17 +40,32 @@ class Store(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """Where inputs stand. read(node): C text of an input; array(source): C text of the array that
-    a load reads, with the slot of its element 0; slot(node): C text of a real input with a place
-    for its slot, and its slot, or None where nothing is put in loops."""
+    """Where inputs stand.
+
+    Attributes:
+        read: Text of an input.
+        array: Text of the array that a load reads, and the slot of its element 0.
+        slot: Text of a real input with a place for its slot, and its slot; None where nothing is
+            put in loops.
+        scalars: Arrays that are no arrays: their only cell has their name.
+    """
 
     read: Callable[[Node], str]
     array: Callable[[Any], tuple[str, int]]
     slot: Callable[[Node], tuple[str, int]] | None = None
+    scalars: frozenset[str] = frozenset()
+
+    def place(self, array: str, slot: int) -> str:
+        """Text of a cell."""
+        return array if array in self.scalars else f"{array}[{slot}]"
+
+    def holds(self, store: Store, node: Node) -> bool:
+        """Whether a node is what the cell of a store held before."""
+        return node.op == "in" and self.read(node) == self.place(store.array, store.slot)
 
 
 class Put(NamedTuple):
-    """A value that goes to one cell of an array, whose index the run knows."""
+    """A value that goes to the cell ``slot + index`` of an array, only ``where``."""
 
     array: str
     slot: int
@@ -49,70 +78,73 @@ class Put(NamedTuple):
         """The nodes that it reads."""
         return [self.index, self.value, *([self.where] if self.where is not None else [])]
 
+    @property
+    def slots(self) -> range:
+        """All cells that it may mean."""
+        return range(self.slot + int(self.index.low), self.slot + int(self.index.high) + 1)
 
-def indexed(stores: list[Store], cells: Cells) -> tuple[list[Put], list[Store]]:
+
+def changed(stores: Sequence[Store], cells: Cells) -> list[Store]:
+    """Without stores of what a cell held already."""
+    return [s for s in stores if s.add or not cells.holds(s, s.node)]
+
+
+def indexed(
+    stores: Sequence[Store], cells: Cells, kinds: str = "f"
+) -> tuple[list[Put], list[Store]]:
     """The stores that are together one update at an index, and the rest.
 
-    Cell k gets ``index == k ? value : what it held``, for every k that the index can mean.
-    Stores of what a cell held already are left out.
+    Cell k gets ``index == k ? value : what it held``, for every k that the index can mean. kinds:
+    of the numbers that can be stored so.
     """
     groups: dict[Any, list[tuple[int, Store]]] = {}
+    updates: dict[Any, Put] = {}
     rest: list[Store] = []
-    parts: dict[Any, tuple[Node, Node, Node | None]] = {}
-    for store in stores:
-        if _holds(store, store.node, cells) and not store.add:
-            continue
-        found = _update(store, cells)
-        if found is None:
+    for store in changed(stores, cells):
+        update = _update(store, cells) if store.node.kind in kinds else None
+        if update is None:
             rest.append(store)
             continue
-        index, number, value, where = found
-        key = (store.array, store.slot - number, index.id, value.id, where and where.id)
-        parts[key] = index, value, where
+        number, put = update
+        key = put.array, put.slot, *(n.id for n in put.needs)
+        updates[key] = put
         groups.setdefault(key, []).append((number, store))
     puts = []
     for key, members in groups.items():
-        index, value, where = parts[key]
-        if {n for n, _ in members} >= set(range(int(index.low), int(index.high) + 1)):
-            puts.append(Put(key[0], key[1], index, value, where))
+        index = updates[key].index
+        reach = int(index.high) - int(index.low) + 1
+        numbers = {n for n, _ in members}
+        if reach <= len(numbers) and numbers >= {*range(int(index.low), int(index.high) + 1)}:
+            puts.append(updates[key])
         else:
             rest += [s for _, s in members]
     return puts, rest
 
 
-def _holds(store: Store, node: Node, cells: Cells) -> bool:
-    return node.op == "in" and cells.read(node) == f"{store.array}[{store.slot}]"
-
-
-def _update(store: Store, cells: Cells) -> tuple[Node, int, Node, Node | None] | None:
+def _update(store: Store, cells: Cells) -> tuple[int, Put] | None:
+    """k and the whole update, of a store of ``index == k ? value : what the cell held``."""
     node = store.node
-    if (
-        node.op != "select"
-        or store.add
-        or node.kind != "f"
-        or not _holds(store, node.args[2], cells)
-    ):
+    if node.op != "select" or store.add or not cells.holds(store, node.args[2]):
         return None
     condition, value, _ = node.args
-    where = None
     sides = condition.args if condition.op == "and" else (condition,)
     for position, side in enumerate(sides):
         if side.op == "eq" and side.args[1].op == "const" and _bounded(side.args[0]):
-            if len(sides) == 2:
-                where = sides[1 - position]
-            return side.args[0], side.args[1].value, value, where
+            where = sides[1 - position] if len(sides) == 2 else None
+            number = side.args[1].value
+            return number, Put(store.array, store.slot - number, side.args[0], value, where)
     return None
 
 
 def _bounded(index: Node) -> bool:
-    return index.kind in "il" and LIMITS["i"][0] < index.low <= index.high < LIMITS["i"][1]
+    return index.kind in "iul" and LIMITS["i"][0] < index.low <= index.high < LIMITS["i"][1]
 
 
 def excluded(store: Store, condition: Node, cells: Cells) -> bool:
     """Whether a store is ``other condition ? value : what the cell held``, with a condition that
     never holds together with this one."""
     node = store.node
-    if node.op != "select" or store.add or not _holds(store, node.args[2], cells):
+    if node.op != "select" or store.add or not cells.holds(store, node.args[2]):
         return False
     given = conjuncts(condition)
     return any(
@@ -131,7 +163,7 @@ def conjuncts(node: Node) -> set[tuple[Node, bool]]:
 def _freed(store: Store, cells: Cells) -> Store:
     """A store of ``where ? value : what the cell held`` as one of the value, only ``where``."""
     node = store.node
-    if node.op == "select" and node.kind == "f" and _holds(store, node.args[2], cells):
+    if node.op == "select" and node.kind == "f" and cells.holds(store, node.args[2]):
         return store._replace(node=node.args[1], where=node.args[0])
     return store
 
@@ -149,9 +181,8 @@ def guarded(stores: list[Store], cells: Cells) -> tuple[list[list[Store]], list[
     several = [g for g in groups.values() if len(g) > 2]
     for group in groups.values():
         if len(group) <= 2:
-            rest += [
-                s for s in stores if any(s.array == o.array and s.slot == o.slot for o in group)
-            ]
+            places = {(o.array, o.slot) for o in group}
+            rest += [s for s in stores if (s.array, s.slot) in places]
     return several, rest
 
 
@@ -162,28 +193,72 @@ class Rolled(NamedTuple):
     step: int
     roll: Roll
 
+    @property
+    def slots(self) -> list[int]:
+        """All cells that it sets."""
+        first, step = self.store.slot, self.step
+        return [first + k * step for k in range(len(self.roll.members))]
 
-def rolled(stores: list[Store], kinds: Kinds, cells: Cells) -> tuple[list[Rolled], list[Store]]:
+
+def rolled(
+    stores: Sequence[Store], search: Search, cells: Cells
+) -> tuple[list[Rolled], list[Store]]:
     """The stores that are made in loops, and the rest.
 
     Loops store while they read: none may read what another store, or another round, sets.
     """
-    freed = [_freed(s, cells) for s in stores]
-    keys = [(s.array, s.add, s.where and s.where.id) for s in freed]
+    freed, groups = list(stores), _neighbours(stores)
+    if search.alike is not None:
+        freed = [_freed(s, cells) for s in stores]
+        keys = [(s.array, s.add, s.where and s.where.id) for s in freed]
+        groups = groups_of_alike([s.node for s in freed], keys, search.alike)
     written = {(s.array, s.slot): i for i, s in enumerate(stores)}
-    found, used = [], set()
-    for roll in rolls([s.node for s in freed], keys, kinds, cells.slot):  # type: ignore[arg-type]
+    loops, used = [], set[int]()
+    for roll in rolls([s.node for s in freed], groups, search):
         slots = [freed[m].slot for m in roll.members]
-        step = slots[1] - slots[0]
-        steady = slots == [slots[0] + i * step for i in range(len(slots))]
-        if steady and all(_alone(c, roll, written) for c in roll.cells.values()):
-            found.append(Rolled(freed[roll.members[0]], step, roll))
+        loop = Rolled(freed[roll.members[0]], slots[1] - slots[0], roll)
+        if slots == loop.slots and all(_alone(row, roll, written) for row in roll.rows.values()):
+            loops.append(loop)
             used.update(roll.members)
-    return found, [s for i, s in enumerate(stores) if i not in used]
+    return loops, [s for i, s in enumerate(stores) if i not in used]
 
 
-def _alone(cell: tuple[str, int, int], roll: Roll, written: dict[tuple[str, int], int]) -> bool:
-    text, start, step = cell
-    array = text.partition("[")[0]
-    places = [written.get((array, start + i * step)) for i in range(len(roll.members))]
+def _neighbours(stores: Sequence[Store]) -> list[list[int]]:
+    """Places of stores to cells in a row of one array."""
+    groups: list[list[int]] = []
+    for number, store in enumerate(stores):
+        last = stores[number - 1] if number else None
+        if last is not None and (last.array, last.slot + 1) == (store.array, store.slot):
+            groups[-1].append(number)
+        else:
+            groups.append([number])
+    return groups
+
+
+def _alone(row: Row, roll: Roll, written: dict[tuple[str, int], int]) -> bool:
+    """Whether each round may read its cell: nobody sets it, or that round itself."""
+    array = row.text.partition("[")[0]
+    places = [written.get((array, row.start + i * row.step)) for i in range(len(roll.members))]
     return all(p is None or p == m for p, m in zip(places, roll.members, strict=True))
+
+
+class Plan(NamedTuple):
+    """What a back end writes. loops: over cells; puts: updates at an index; plain: the rest."""
+
+    loops: list[Rolled]
+    puts: list[Put]
+    plain: list[Store]
+
+
+def plan(stores: Sequence[Store], cells: Cells, search: Search | None, kinds: str = "f") -> Plan:
+    """The forms of stores.
+
+    Args:
+        stores: What becomes of the results.
+        cells: Where inputs stand.
+        search: What becomes a loop; None for nothing.
+        kinds: Kinds of numbers that can be stored at an index.
+    """
+    puts, rest = indexed(stores, cells, kinds)
+    loops, plain = rolled(rest, search, cells) if search is not None else ([], rest)
+    return Plan(loops, puts, plain)
