@@ -1,4 +1,4 @@
-"""Pictures of a run: figures with units, settings and the verdict on them.
+"""Plots of a run: figures with units, settings and the verdict on them.
 
     from jaxstage import plot
 
@@ -17,11 +17,12 @@ schedule   the gains that a cross-coupled law scheduled
 pictures   all that apply to a run, as PNG files
 VIEWS      the pictures of one run by name
 chart      panels of lines or bars computed from a study's evidence
-claims     published figure, ours and verdict of all claims of a study
-sweep      a module of its own: distributions, parameters, effects of a Monte-Carlo sweep
+claims     published number, ours and verdict of all claims of a study
+sweep, sensitivity, tuning   modules of their own: of a Monte-Carlo sweep, of the effects of its
+           uncertain values, of a tuning
 memberships, rule_surface   the sets and the rules of a fuzzy system
 
-The only part of the library that imports matplotlib; it uses no global figure or style.
+The only part of the library that imports matplotlib; it uses no global state or style.
 """
 
 from jaxstage.plot.axes import axes as axes

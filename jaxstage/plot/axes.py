@@ -22,7 +22,7 @@ from jaxstage.plot.view import View
 def axes(view: View) -> Figure:
     """Per axis: reference and actual position in mm, below it the following error."""
     count = len(view.axes)
-    drawn = figure(view, "position and following error", 15.0, 1.6 + 4.6 * count)
+    drawn = figure(view, "position and following error", (15.0, 1.6 + 4.6 * count))
     panels = drawn.subplots(
         2 * count, 1, sharex=True, squeeze=False, height_ratios=[1.0, 1.25] * count
     )[:, 0]

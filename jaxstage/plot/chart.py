@@ -8,7 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxstage import __version__
-from jaxstage.plot.style import AXIS_COLOURS, LARGE, NORMAL, SMALL, dress
+from jaxstage.plot.page import page
+from jaxstage.plot.style import AXIS_COLOURS, NORMAL, SMALL, dress
 from jaxstage.studies.plots import Chart
 
 COLOURS = (*AXIS_COLOURS, "#56B4E9", "#E69F00", "#7F7F7F")
@@ -19,17 +20,8 @@ def chart(title: str, text: str, panels: tuple[Chart, ...]) -> Figure:
     """One figure of panels, up to three a row. title: of the figure. text: how to read it."""
     columns = 2 if len(panels) == 4 else min(len(panels), 3)
     rows = -(-len(panels) // columns)
-    width, height = WIDTH * columns + 0.6, HEIGHT * rows + 1.7
-    drawn = Figure(figsize=(width, height), dpi=100, layout="constrained", facecolor="white")
-    lines = textwrap.wrap(text, int(10.3 * width))
-    top = 0.55 + 0.24 * len(lines)
-    engine = drawn.get_layout_engine()
-    assert engine is not None
-    engine.set(rect=(0.01, 0.35 / height, 0.98, 1 - (top + 0.35) / height), w_pad=0.12, h_pad=0.1)  # type: ignore[call-arg]
-    left = 0.25 / width
-    drawn.text(left, 1 - 0.14 / height, title, va="top", fontsize=LARGE, weight="bold")
-    drawn.text(left, 1 - 0.55 / height, "\n".join(lines), va="top", fontsize=NORMAL)
-    drawn.text(left, 0.1 / height, f"jaxstage {__version__}", fontsize=SMALL, color="#555555")
+    size = (WIDTH * columns + 0.6, HEIGHT * rows + 1.7)
+    drawn = page(title, text, f"jaxstage {__version__}", size)
     for ax, panel in zip(drawn.subplots(rows, columns, squeeze=False).flat, panels, strict=False):
         _panel(ax, panel)
     for ax in drawn.axes[len(panels) :]:

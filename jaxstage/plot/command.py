@@ -31,7 +31,7 @@ def command(view: View) -> Figure:
     before it: there chattering and ringing show.
     """
     count = len(view.axes)
-    drawn = figure(view, "command", 16.0, 1.7 + 4.0 * count)
+    drawn = figure(view, "command", (16.0, 1.7 + 4.0 * count))
     panels = drawn.subplots(count, 3, squeeze=False, width_ratios=[1.3, 1.0, 1.0])
     for axis, colour in enumerate(axis_colours(view)):
         whole, near, close = panels[axis]

@@ -20,8 +20,8 @@ from jaxstage.plot.view import View
 
 #: the largest error is drawn about this share of the size of the curve
 SHARE = 0.12
-#: inches above the panels: title, verdict and legend
-LEGEND = 1.15
+#: inches above the panels for the legend
+LEGEND = 0.3
 
 
 def magnification(view: View) -> float:
@@ -47,9 +47,8 @@ def contour(view: View) -> Figure:
     boxes = [_box(view, pair, path) for pair, (_, path) in zip(pairs, paths, strict=True)]
     tallest = max((high[1] - low[1]) / (high[0] - low[0]) for low, high in boxes)
     wide = 11.0 if len(pairs) == 1 else 5.5
-    drawn = figure(
-        view, times, wide * len(pairs) + 1.0, 2.4 + wide * min(max(tallest, 0.5), 1.1), LEGEND
-    )
+    size = (wide * len(pairs) + 1.0, 2.4 + wide * min(max(tallest, 0.5), 1.1))
+    drawn = figure(view, times, size, above=LEGEND)
     for index, pair in enumerate(pairs):
         ax = drawn.add_subplot(1, len(pairs), index + 1)
         ax.set_aspect("equal", adjustable="box")
@@ -61,12 +60,20 @@ def contour(view: View) -> Figure:
         handles,
         names,
         loc="upper right",
-        bbox_to_anchor=(1.0, 1 - 0.78 / drawn.get_figheight()),
+        bbox_to_anchor=(1.0, _panels_top(drawn) + LEGEND / drawn.get_figheight()),
         ncols=len(names),
         fontsize=SMALL,
         frameon=False,
     )
     return drawn
+
+
+def _panels_top(drawn: Figure) -> float:
+    """Where the panels end, as a share of the height."""
+    engine = drawn.get_layout_engine()
+    assert engine is not None
+    _, low, _, height = engine.get()["rect"]
+    return low + height
 
 
 def _magnified(

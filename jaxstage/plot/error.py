@@ -25,7 +25,7 @@ from jaxstage.plot.view import View
 
 def error(view: View) -> Figure:
     """Contour error and length of the following error in time; contour error over arc length."""
-    drawn = figure(view, "contour error", 15.0, 10.0)
+    drawn = figure(view, "contour error", (15.0, 10.0))
     upper, lower = drawn.subplots(2, 1)
     part = view.scored_ticks()
     following = np.linalg.norm(view.error, axis=1)

@@ -13,20 +13,15 @@ from jaxstage.controllers.parts.fuzzy import (
     set_names,
     strengths,
 )
-from jaxstage.plot.style import AXIS_COLOURS, LARGE, NORMAL, REFERENCE, SMALL, dress
+from jaxstage.plot.page import page
+from jaxstage.plot.style import AXIS_COLOURS, NORMAL, REFERENCE, SMALL, dress
 
 POINTS = 121
 
 
-def _figure(title: str, width: float, height: float) -> Figure:
-    drawn = Figure(figsize=(width, height), dpi=100, layout="constrained", facecolor="white")
-    drawn.suptitle(title, fontsize=LARGE, weight="bold", x=0.02, ha="left")
-    return drawn
-
-
 def memberships(sets: FuzzySets, name: str = "normalised input") -> Figure:
     """The membership functions of one input over its range. name: of the input."""
-    drawn = _figure("membership functions", 10.0, 4.5)
+    drawn = page("membership functions", "", "", (10.0, 4.5))
     ax = drawn.add_subplot()
     x = np.linspace(-REACH, REACH, 601)
     values = np.asarray(jax.vmap(lambda v: membership(sets, v))(jnp.asarray(x)))
@@ -56,7 +51,7 @@ def rule_surface(
         return infer(consequents, strengths(first, second, a, b))
 
     surface = jax.jit(jax.vmap(lambda a: jax.vmap(lambda b: inferred(a, b))(x)))(x)
-    drawn = _figure(output, 9.0, 7.6)
+    drawn = page(output, "", "", (9.0, 7.6))
     ax = drawn.add_subplot()
     filled = ax.contourf(np.asarray(x), np.asarray(x), np.asarray(surface), 24, cmap="cividis")
     drawn.colorbar(filled, ax=ax, label=output)

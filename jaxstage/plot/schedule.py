@@ -12,7 +12,7 @@ def schedule(view: View) -> Figure:
     """K_P, K_I and K_D of the contour law in time. Raises ValueError for a law without them."""
     if view.schedule is None:
         raise ValueError("this law schedules no contour gains")
-    drawn = figure(view, "scheduled contour gains", 15.0, 10.5)
+    drawn = figure(view, "scheduled contour gains", (15.0, 10.5))
     panels = drawn.subplots(3, 1, sharex=True)
     for index, (panel, (name, unit)) in enumerate(zip(panels, GAINS, strict=True)):
         line(panel, view.time, view.schedule[:, index], AXIS_COLOURS[index], name)

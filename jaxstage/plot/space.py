@@ -19,7 +19,7 @@ def space(view: View) -> Figure:
         raise ValueError("a picture in space needs three axes")
     factor = magnification(view)
     times = f"contour error drawn × {factor:,.0f}" if factor > 1 else "contour error true to scale"
-    drawn = figure(view, times, 12.0, 10.0)
+    drawn = figure(view, times, (12.0, 10.0))
     ax = drawn.add_subplot(projection="3d")
     part = view.scored_ticks()
     base = view.nearest[part] * 1e3

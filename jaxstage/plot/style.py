@@ -14,15 +14,18 @@ from matplotlib.ticker import ScalarFormatter
 
 from jaxstage.metrics.tracking import direction
 from jaxstage.plot.numbers import envelope
+from jaxstage.plot.page import LARGE as LARGE
+from jaxstage.plot.page import NORMAL as NORMAL
+from jaxstage.plot.page import REFERENCE as REFERENCE
+from jaxstage.plot.page import SMALL as SMALL
+from jaxstage.plot.page import page
 from jaxstage.plot.view import View
 
 AXIS_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
-REFERENCE = "#222222"
 SCORED = "#0072B2"
 OTHER = "#A8A8A8"
 LOST = "#B00020"
 SHADE = "#E9F0F7"
-SMALL, NORMAL, LARGE = 11, 13, 18
 
 
 def axis_colours(view: View) -> list[str]:
@@ -30,25 +33,10 @@ def axis_colours(view: View) -> list[str]:
     return list(islice(cycle(AXIS_COLOURS), len(view.axes)))
 
 
-def figure(view: View, title: str, width: float, height: float, above: float = 0.95) -> Figure:
-    """An empty figure of width x height inches at 100 dpi with title, verdict and footer.
-
-    above: inches kept free of panels for title and verdict.
-    """
-    drawn = Figure(figsize=(width, height), dpi=100, layout="constrained", facecolor="white")
-    # inches from the borders, so that they do not depend on the height
-    top, bottom = above / height, 0.42 / height
-    engine = drawn.get_layout_engine()
-    assert engine is not None
-    engine.set(rect=(0.005, bottom, 0.99, 1 - top - bottom), h_pad=0.06, w_pad=0.08)  # type: ignore[call-arg]
-    left = 0.25 / width
-    drawn.text(
-        left, 1 - 0.14 / height, f"{view.name}: {title}", va="top", fontsize=LARGE, weight="bold"
-    )
+def figure(view: View, title: str, size: tuple[float, float], above: float = 0.0) -> Figure:
+    """An empty figure with title, verdict and settings of a run. size, above: as of `page`."""
     colour = REFERENCE if view.lost is None else LOST
-    drawn.text(left, 1 - 0.52 / height, view.verdict, va="top", fontsize=NORMAL + 1, color=colour)
-    drawn.text(left, 0.12 / height, view.footer, va="bottom", fontsize=SMALL, color="#555555")
-    return drawn
+    return page(f"{view.name}: {title}", view.verdict, view.footer, size, colour, above)
 
 
 def dress(ax: Axes, x: str, y: str) -> None:

@@ -27,7 +27,7 @@ def surface(view: View) -> Figure:
     if view.surface is None:
         raise ValueError("this law has no sliding variable")
     count = len(view.axes)
-    drawn = figure(view, "sliding variable and phase plane", 16.0, 1.7 + 4.2 * count)
+    drawn = figure(view, "sliding variable and phase plane", (16.0, 1.7 + 4.2 * count))
     panels = drawn.subplots(count, 2, squeeze=False, width_ratios=[1.2, 1.0])
     part = view.scored_ticks()
     for axis, colour in enumerate(axis_colours(view)):

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxstage.metrics.words import length_text, length_unit
+from jaxstage.plot.sheet import sheet_page
 from jaxstage.plot.style import (
     AXIS_COLOURS,
     LOST,
@@ -26,7 +27,6 @@ from jaxstage.plot.style import (
     note,
     time_axis,
 )
-from jaxstage.plot.sweep import sheet_figure
 from jaxstage.plot.view import View
 
 #: best objectives below this share of the first are drawn on a log axis
@@ -65,7 +65,7 @@ def history(traces: Sequence[Trace], footer: str) -> Figure:
         "training set; gradients and Jacobians cost what was measured here. Lower is better."
     )
     slopes = [trace for trace in traces if np.isfinite(trace.gradient).any()]
-    drawn = sheet_figure("objective against cost", text, footer, 12, 8.5 if slopes else 6.5)
+    drawn = sheet_page("objective against cost", text, footer, 12, 8.5 if slopes else 6.5)
     panels = drawn.subplots(
         1 + bool(slopes), 1, sharex=True, squeeze=False, height_ratios=[2, 1][: 1 + bool(slopes)]
     )[:, 0]
@@ -102,7 +102,7 @@ def parameters(moved: Sequence[Moved], footer: str) -> Figure:
         "Red ended on the border of its range: the optimum may lie beyond."
     )
     text += f" The {left_out} that moved least are not drawn." if left_out else ""
-    drawn = sheet_figure("gains before and after", text, footer, 13, 1.9 + 0.36 * len(shown))
+    drawn = sheet_page("gains before and after", text, footer, 13, 1.9 + 0.36 * len(shown))
     ax = drawn.subplots()
     for row, one in enumerate(shown):
         _range(ax, row, one)
@@ -143,7 +143,7 @@ def before_after(before: View, after: View) -> Figure:
     told = [f"RMS {length_text(_rms(e[part]))}" for e in errors]
     text = f"Before: {before.verdict}. After: {after.verdict}."
     title = f"{before.name}: {name} before and after, {told[0]} to {told[1]}"
-    drawn = sheet_figure(title, text, after.footer, 15, 9.5)
+    drawn = sheet_page(title, text, after.footer, 15, 9.5)
     upper, lower = drawn.subplots(2, 1, sharex=True)
     factor, unit = length_unit(float(np.max(errors[0][part], initial=0.0)))
     for view, error, colour, label in (
@@ -193,7 +193,7 @@ def front(
         "other is better in every objective. Star: the suggested compromise, nearest to the best "
         "of all objectives in their own ranges. Cross: the gains before."
     )
-    drawn = sheet_figure("trade-offs", text, footer, 6.4 * len(pairs) + 0.6, 7.2)
+    drawn = sheet_page("trade-offs", text, footer, 6.4 * len(pairs) + 0.6, 7.2)
     panels = drawn.subplots(1, len(pairs), squeeze=False)[0]
     for ax, (a, b) in zip(panels, pairs, strict=True):
         ax.plot(*points[~kept][:, [a, b]].T, "o", color=OTHER, fillstyle="none", label="beaten")

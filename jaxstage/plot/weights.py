@@ -23,7 +23,7 @@ def weights(view: View) -> Figure:
     if view.weights is None:
         raise ValueError("this law has no weights")
     count = len(view.axes)
-    drawn = figure(view, "adapted weights", 15.0, 1.7 + 4.2 * count)
+    drawn = figure(view, "adapted weights", (15.0, 1.7 + 4.2 * count))
     panels = drawn.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     for axis, panel in enumerate(panels):
         values = view.weights[:, axis]

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from jaxstage.plot import sweep
+from jaxstage.plot import sensitivity, sweep
 
 SHEET = sweep.Sheet("contour max (µm)", 20.0, "64 plants | seed 0")
 SOURCE = np.random.default_rng(0)
 VALUES = SOURCE.uniform(5, 25, 400)
 VALUES[:7] = np.nan
 PASSED = VALUES < 20
-ONE = sweep.Sample("pi-circle", VALUES, PASSED, "yield 74 %", (0.74, 0.7, 0.78))
-OTHER = sweep.Sample("cascade-circle", VALUES[::-1] + 1, VALUES[::-1] + 1 < 20)
+ONE = sweep.MetricSample("pi-circle", VALUES, PASSED, "yield 74 %", (0.74, 0.7, 0.78))
+OTHER = sweep.MetricSample("cascade-circle", VALUES[::-1] + 1, VALUES[::-1] + 1 < 20)
 
 pytestmark = pytest.mark.fast
 
@@ -50,7 +50,7 @@ def test_the_distribution_has_limit_interval_and_lost_runs():
 
 
 def test_a_sweep_that_is_all_lost_can_be_drawn():
-    lost = sweep.Sample("pi-circle", np.full(9, np.nan), np.zeros(9, bool))
+    lost = sweep.MetricSample("pi-circle", np.full(9, np.nan), np.zeros(9, bool))
     assert "all runs were lost" in words(sweep.distribution([lost], SHEET))
     columns = {"plant.mass x (kg)": SOURCE.random(9)}
     sweep.parameters(lost, columns, {"plant.mass x (kg)": None}, SHEET)
@@ -60,7 +60,7 @@ def test_a_sweep_that_is_all_lost_can_be_drawn():
 def test_samples_far_apart_are_all_resolved():
     """Bins are shared, so that heights compare, and as narrow as the narrowest sample needs."""
     near, far = SOURCE.lognormal(0.0, 0.3, 400), SOURCE.lognormal(4.0, 0.02, 400)
-    samples = [sweep.Sample("near", near, None), sweep.Sample("far", far, None)]
+    samples = [sweep.MetricSample("near", near, None), sweep.MetricSample("far", far, None)]
     drawn = sweep.distribution(samples, SHEET._replace(limit=None))
     outlines = [p for p in drawn.axes[0].patches if not p.get_fill()]
     for patch, values in zip(outlines, (near, far), strict=True):
@@ -68,7 +68,7 @@ def test_samples_far_apart_are_all_resolved():
         # an outline goes up and down: two corners a bin
         assert len(np.unique(patch.get_path().vertices[heights > 0, 0])) > 8
         assert heights.max() < len(values) / 2
-    one = sweep.Sample("constant", np.full(9, 3.0), None)
+    one = sweep.MetricSample("constant", np.full(9, 3.0), None)
     assert sweep.distribution([one], SHEET).axes[0].patches
 
 
@@ -95,7 +95,7 @@ def test_failing_and_lost_plants_are_marked():
 
 
 def test_a_picture_of_few_plants_explains_nothing_that_is_not_drawn():
-    good = sweep.Sample("pi-circle", SOURCE.uniform(5, 15, 64), np.ones(64, bool))
+    good = sweep.MetricSample("pi-circle", SOURCE.uniform(5, 15, 64), np.ones(64, bool))
     drawn = sweep.parameters(good, {"plant.mass x (kg)": SOURCE.random(64)}, {}, SHEET)
     told = words(drawn)
     assert "Each dot is one plant" in told
@@ -106,10 +106,10 @@ def test_a_picture_of_few_plants_explains_nothing_that_is_not_drawn():
 
 def test_a_tornado_starts_at_the_nominal_plant():
     effects = [
-        sweep.Effect("plant.mass x", 8.0, 14.0, (9.0, 13.0)),
-        sweep.Effect("plant.load x", 12.0, 9.0),
+        sensitivity.Effect("plant.mass x", 8.0, 14.0, (9.0, 13.0)),
+        sensitivity.Effect("plant.load x", 12.0, 9.0),
     ]
-    drawn = sweep.tornado("pi-circle", 10.0, effects, SHEET, ("drive.delay",))
+    drawn = sensitivity.tornado("pi-circle", 10.0, effects, SHEET, ("drive.delay",))
     (ax,) = drawn.axes
     ends = sorted((bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches)
     assert {x for pair in ends for x in pair} == {8.0, 9.0, 10.0, 12.0, 14.0}
@@ -120,8 +120,11 @@ def test_a_tornado_starts_at_the_nominal_plant():
 
 
 def test_indices_are_ordered_by_their_total():
-    found = [sweep.Index("a", 0.1, 0.02, 0.2, 0.03), sweep.Index("b", 0.3, 0.02, 0.7, 0.05)]
-    (ax,) = sweep.indices("pi-circle", found, SHEET).axes
+    found = [
+        sensitivity.Index("a", 0.1, 0.02, 0.2, 0.03),
+        sensitivity.Index("b", 0.3, 0.02, 0.7, 0.05),
+    ]
+    (ax,) = sensitivity.indices("pi-circle", found, SHEET).axes
     assert [label.get_text() for label in ax.get_yticklabels()] == ["b", "a"]
     assert sorted(bar.get_width() for bar in ax.patches) == [0.1, 0.2, 0.3, 0.7]
 

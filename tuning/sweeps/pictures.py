@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxstage import __version__
 from jaxstage.metrics.table import split_key
-from jaxstage.plot import save, sweep
+from jaxstage.plot import save, sensitivity, sweep
 from tuning.store.work_folder import digest
 from tuning.sweeps.analysis import Analysis, LoopResult
 from tuning.uncertainty.statistics import PairedComparison
@@ -51,17 +51,17 @@ def _effects(loop: LoopResult, sheet: sweep.Sheet) -> dict[str, sweep.Figure]:
     drawn = {}
     if loop.tornado is not None:
         bars = [
-            sweep.Effect(bar.name, bar.low, bar.high, loop.ends[bar.column])
+            sensitivity.Effect(bar.name, bar.low, bar.high, loop.ends[bar.column])
             for bar in loop.tornado.bars
         ]
-        drawn[f"{loop.name}-tornado"] = sweep.tornado(
+        drawn[f"{loop.name}-tornado"] = sensitivity.tornado(
             loop.name, loop.tornado.nominal, bars, sheet, loop.tornado.left_out
         )
     if loop.indices is not None:
         i = loop.indices
         rows = zip(i.names, i.first, i.first_error, i.total, i.total_error, strict=True)
-        found = [sweep.Index(name, *map(float, numbers)) for name, *numbers in rows]
-        drawn[f"{loop.name}-indices"] = sweep.indices(loop.name, found, sheet)
+        found = [sensitivity.Index(name, *map(float, numbers)) for name, *numbers in rows]
+        drawn[f"{loop.name}-indices"] = sensitivity.indices(loop.name, found, sheet)
     return drawn
 
 
@@ -83,14 +83,16 @@ def _sheet(found: Analysis) -> sweep.Sheet:
     return sweep.Sheet(f"{name} ({shown})" if unit else name, limit, footer)
 
 
-def _sample(loop: LoopResult, metric: str) -> sweep.Sample:
+def _sample(loop: LoopResult, metric: str) -> sweep.MetricSample:
     met = loop.met
     interval = (met.value, met.low, met.high) if met else None
     text = f"yield {met.text()}" if met else ""
-    return sweep.Sample(loop.name, np.asarray(loop.columns[metric]), loop.passed, text, interval)
+    return sweep.MetricSample(
+        loop.name, np.asarray(loop.columns[metric]), loop.passed, text, interval
+    )
 
 
-def _by_chance(sample: sweep.Sample, loop: LoopResult) -> sweep.Sample:
+def _by_chance(sample: sweep.MetricSample, loop: LoopResult) -> sweep.MetricSample:
     """Only the runs that are a sample of the spreads; all where none are."""
     rows = loop.sampled
     if not rows.any():

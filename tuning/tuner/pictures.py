@@ -119,7 +119,7 @@ def _held_out(outcome: TuningResult, footer: str) -> sweep.Figure:
     shown = f"{name} ({unit.replace('um', 'µm')})" if unit else name
     sheet = sweep.Sheet(shown, None, footer)
     samples = [
-        sweep.Sample(label, values, None)
+        sweep.MetricSample(label, values, None)
         for label, values in (("after", pairs.after), ("before", pairs.before))
     ]
     text = f"Each dot is one held-out plant under both gains: {verdict_text(verdict)}."

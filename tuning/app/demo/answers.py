@@ -126,7 +126,7 @@ def picture(folder: Path, answer: Found) -> Path:
     ))  # fmt: skip
     sheet = sweep.Sheet(f"{name} ({unit.replace('um', 'µm')})", None, footer)
     samples = [
-        sweep.Sample(f"{loop}, {when} gains", values, None)
+        sweep.MetricSample(f"{loop}, {when} gains", values, None)
         for loop, figures in swept(folder).items()
         for when, values in figures._asdict().items()
     ]
