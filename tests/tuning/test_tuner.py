@@ -238,10 +238,14 @@ def test_goals_say_by_how_much_they_are_missed():
         ("a_um == 20", "must be a comparison by"),
         ("a_um + 1", "is a number: compare it"),
         ("c < 1", "unknown column 'c'"),
+        (f"a_um < 1{400 * '0'}", "a number is beyond"),
+        ("a_um < 1e400", "a number is beyond"),
+        (" and ".join(["a_um < 1"] * 3000), "longer than"),
     ):
         with pytest.raises(ValueError, match=told) as error:
             parse_goals(text, columns)
         assert str(error.value).startswith("--goal '") and "\n" not in str(error.value)
+        assert len(str(error.value)) < 400
 
 
 def test_a_start_has_weights_of_its_own():

@@ -19,6 +19,7 @@ from tuning.tuner.options import default_objective, parse_gains, parse_objective
 from tuning.tuner.pictures import BeforeAfter, rule_pictures, rules_text, write_rules
 from tuning.tuner.problem.objective import Term
 from tuning.tuner.problem.transforms import logarithmic
+from tuning.tuner.search.evaluation_log import logged
 from tuning.tuner.search.pareto_front import hypervolume, knee, non_dominated, weights
 
 pytestmark = pytest.mark.fast
@@ -162,6 +163,8 @@ def test_which_gains():
     [
         ("c1=1..", "'' is not a number"),
         ("c1=a..2", "'a' is not a number"),
+        ("c1=0.1..1e400", "'1e400' is not a finite number"),
+        ("c1=nan..2", "'nan' is not a finite number"),
         ("c1=5", "must be NAME"),
         ("c1:tide", "':tide'; did you mean 'tied'"),
         ("", "must be NAME"),
@@ -208,12 +211,49 @@ def test_an_objective_is_a_sum_of_weighted_figures():
         ("energy_J/0", "must be > 0"),
         ("energy_J +", "at character"),
         ("__import__('os')", "must be weight"),
+        (
+            "1" + 400 * "0" + "*energy_J",
+            "a number: weights and scales must be > 0 and at most 1e+100",
+        ),
+        ("energy_J/1e400", "inf: weights and scales"),
+        (" + ".join(["energy_J"] * 3000), "longer than 2000 characters"),
+        ("(" * 900 + "energy_J" + ")" * 900, "too"),
+        ("9" * 5000 + "*energy_J", "longer than 2000 characters"),
     ],
 )
 def test_wrong_objectives(text, says):
     with pytest.raises(ValueError, match="--objective") as told:
         parse_objective(text, COLUMNS)
     assert says in str(told.value) and "\n" not in str(told.value)
+    assert len(str(told.value)) < 400
+
+
+# --- evaluation log ----------------------------------------------------------------------------
+
+
+def test_a_damaged_answer_is_computed_again(tmp_path):
+    """Any byte of a file flipped, or the file cut anywhere: the right answer, never another one."""
+    values = {"objective": np.arange(3.0), "costs": np.ones((2, 2))}
+    logged(tmp_path, 0, "question", lambda: values)
+    file = tmp_path / "00000.npz"
+    whole = file.read_bytes()
+    rng = np.random.default_rng(0)
+    damaged = [whole[: int(n)] for n in rng.integers(0, len(whole), 40)]
+    for place in rng.integers(0, len(whole), 400):
+        flipped = bytearray(whole)
+        flipped[place] ^= int(rng.integers(1, 256))
+        damaged.append(bytes(flipped))
+    again = {"objective": np.full(3, 7.0), "costs": np.zeros((2, 2))}
+    for content in damaged:
+        file.write_bytes(content)
+        answer, _ = logged(tmp_path, 0, "question", lambda: again)
+        expected = values if np.array_equal(answer["objective"], values["objective"]) else again
+        for name in values:
+            np.testing.assert_array_equal(answer[name], expected[name])
+    file.write_bytes(whole[:100])
+    assert logged(tmp_path, 0, "question", lambda: again)[0] is not None
+    with pytest.raises(ValueError, match="holds the evaluations of another tuning"):
+        logged(tmp_path, 0, "other", lambda: again)
 
 
 # --- fuzzy rules -------------------------------------------------------------------------------

@@ -6,6 +6,7 @@
 """
 
 import ast
+import math
 import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -22,6 +23,8 @@ _FORM = re.compile(
 )
 #: weights of energy and of the changes of the command beside the error
 BESIDE = 0.1
+#: characters of an objective at most, and of one that a message shows; largest weight or scale
+LONGEST, SHOWN, LARGEST = 2000, 200, 1e100
 
 
 class GainWords(NamedTuple):
@@ -72,9 +75,12 @@ def _search(word: str) -> dict[str, Any]:
 
 def _number(word: str, text: str) -> float:
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
         raise ValueError(f"--gains {word}: '{text}' is not a number") from None
+    if not math.isfinite(number):
+        raise ValueError(f"--gains {word}: '{text}' is not a finite number")
+    return number
 
 
 def search_of(table: dict[str, Any]) -> Search:
@@ -110,7 +116,10 @@ def parse_objective(text: str, columns: Collection[str]) -> tuple[Term, ...]:
         ValueError: in one line, for anything else, an unknown metric, one named twice, and for a
             weight or scale that is not > 0.
     """
+    shown = text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
     try:
+        if len(text) > LONGEST:
+            raise ValueError(f"longer than {LONGEST} characters")
         tree = ast.parse(text.strip(), mode="eval").body
         terms = [_term(part, columns) for part in _summands(tree)]
         names = [term.column for term in terms]
@@ -118,9 +127,12 @@ def parse_objective(text: str, columns: Collection[str]) -> tuple[Term, ...]:
         if twice:
             raise ValueError(f"{twice[0]} stands twice")
     except SyntaxError as error:
-        raise ValueError(f"--objective '{text}': {error.msg} at character {error.offset}") from None
+        where = f"{error.msg.partition(';')[0]} at character {error.offset}"
+        raise ValueError(f"--objective '{shown}': {where}") from None
+    except (RecursionError, MemoryError):
+        raise ValueError(f"--objective '{shown}': too deeply nested") from None
     except ValueError as error:
-        raise ValueError(f"--objective '{text}': {error}") from None
+        raise ValueError(f"--objective '{shown}': {error}") from None
     return tuple(terms)
 
 
@@ -150,6 +162,7 @@ def _term(tree: ast.expr, columns: Collection[str]) -> Term:
 
 
 def _positive(value: Any) -> float:
-    if type(value) not in (int, float) or not 0 < value < float("inf"):
-        raise ValueError(f"{value}: weights and scales must be > 0")
+    if type(value) not in (int, float) or not 0 < value <= LARGEST:
+        shown = "a number" if type(value) is int and value > LARGEST else value
+        raise ValueError(f"{shown}: weights and scales must be > 0 and at most {LARGEST:g}")
     return float(value)

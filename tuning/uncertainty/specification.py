@@ -23,7 +23,8 @@ _COMBINE = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
 }  # fmt: skip
 _LOGIC = {ast.And: np.logical_and.reduce, ast.Or: np.logical_or.reduce}
-LONGEST = 1000
+#: characters at most, and the largest number
+LONGEST, LARGEST = 1000, 1e100
 
 
 class Specification(NamedTuple):
@@ -100,7 +101,9 @@ def _kind(node: ast.expr, columns: Mapping[str, type], names: dict[str, None]) -
             need(left, float)
             need(right, float)
             return float
-        case ast.Constant(value=value) if type(value) in (int, float):
+        case ast.Constant(value=int() | float() as value) if type(value) is not bool:
+            if not abs(value) <= LARGEST:
+                raise ValueError(f"a number is beyond {LARGEST:g}")
             return float
         case ast.Name(id=name):
             if name not in columns:

@@ -8,12 +8,13 @@ simulating, and simulates from where the log ends. One file an answer, whole or 
     FOLDER/00001.npz    the cost model
     FOLDER/00002.npz    the first answer
 
+A file that cannot be read, or whose checksum is not that of its arrays, counts as absent: its
+answer is computed again.
 """
 
 import hashlib
 import io
 import time
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,8 @@ from jaxstage.system.files import write_whole
 from tuning.tuner.problem.problem import Problem
 
 Answer = dict[str, np.ndarray]
+#: name of the checksum among the arrays of a file
+CHECKSUM = "checksum"
 
 
 def logged(
@@ -60,18 +63,28 @@ def logged(
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         data = io.BytesIO()
-        written: dict[str, Any] = {"question": question, "seconds": seconds, **answer}
+        record = {"question": np.array(question), "seconds": np.array(seconds), **answer}
+        written: dict[str, Any] = {**record, CHECKSUM: np.array(_checksum(record))}
         np.savez(data, **written)
         write_whole(file, data.getvalue())
     return answer, seconds
 
 
 def _read(file: Path) -> Answer | None:
+    """The record of a file; None where there is none, or it is damaged."""
     try:
         with np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
-    except (FileNotFoundError, zipfile.BadZipFile, ValueError, OSError):
+            record = {name: arrays[name] for name in arrays.files}
+            whole = str(record.pop(CHECKSUM)) == _checksum(record)
+    except Exception:  # of a damaged archive nearly any: of the zip, of its codecs, of the header
         return None
+    return record if whole else None
+
+
+def _checksum(record: Answer) -> str:
+    """`digest` of the arrays of a record, their names, types and shapes."""
+    parts = [(n, str(a.dtype), a.shape, np.ascontiguousarray(a)) for n, a in sorted(record.items())]
+    return digest(*(part for parts_of_one in parts for part in parts_of_one))
 
 
 def digest(*parts: Any) -> str:
