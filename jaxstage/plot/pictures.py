@@ -40,10 +40,11 @@ def pictures(
     """Draw what applies to the run into ``folder``, which must exist; returns the files.
 
     report: the figures of the scored part. rows: what the metric `record` stored. result: the
-    summary of the run; its ``left_path_at`` says why a run was lost.
+    summary of the run; its ``left_path_at`` says why a run was lost, its ``verdict`` stands above.
     A picture of an earlier run that does not apply to this one is removed.
     """
     shown = view(case, report, rows, lost_because(case, result["left_path_at"]))
+    shown = shown._replace(verdict=result["verdict"])
     files = []
     for name, draw in VIEWS.items():
         file = folder / f"{name}.png"

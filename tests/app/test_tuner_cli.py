@@ -224,6 +224,35 @@ def test_the_same_again_goes_on_and_another_configuration_says_what_differs(
     assert "holds a tuning of another configuration; seed: 0 -> 3; " in other.err
 
 
+REFUSED = """refused = ["with half the step 1 runs are lost"]
+[gains]
+slope = 3.0
+"""
+
+
+def test_refused_gains_are_marked_wherever_they_go(command):
+    """`run` and its files, `sweep` and its answer, `compare`; and not where they were accepted."""
+    Path("refused-gains.toml").write_text(REFUSED)
+    Path("plain.toml").write_text("[gains]\nslope = 3.0\n")
+    mark = "refused-gains.toml: these gains were REFUSED by their tuning: with half the step 1 runs"
+    result = command("run", "pi-circle", *WORDS[:6], "--gains", "refused-gains.toml", "--out", "a")
+    assert result.status == 0 and mark in result.err and "REFUSED gains. " in result.out
+    written = strict_json(Path("a/run.json").read_text())
+    assert any(mark in note for note in written["notes"])
+    assert read_gains(Path("a/gains.toml")).refused == ("with half the step 1 runs are lost",)
+    plain = command("run", "pi-circle", *WORDS[:6], "--gains", "plain.toml", "--json")
+    assert "REFUSED" not in plain.out + plain.err
+    swept = command(
+        "sweep", "pi-circle", *WORDS[:6], "-n", "4", "--gains", "refused-gains.toml", "--out", "s"
+    )
+    assert swept.status == 0 and "pi-circle: these gains were REFUSED" in swept.out + swept.err
+    answer = strict_json(Path("s/summary.json").read_text())
+    assert any("pi-circle: these gains were REFUSED" in note for note in answer["notes"])
+    Path("wrong.toml").write_text("refused = 1\n[gains]\nslope = 3.0\n")
+    wrong = command("run", "pi-circle", "--gains", "wrong.toml")
+    assert wrong.status == 2 and "wrong.toml:1: refused must be a list of reasons" in wrong.err
+
+
 # --- reports -------------------------------------------------------------------------------------
 
 

@@ -330,9 +330,11 @@ PLANTS = np.linspace(5.0, 9.0, 40)
 )
 def test_what_is_refused_says_why(changes, after, says):
     verdict = held_out_verdict(pairs(PLANTS, after * PLANTS))
-    reasons = refusals(VALIDATION._replace(**changes), verdict)
-    assert any(says in reason for reason in reasons), reasons
-    assert all("\n" not in reason for reason in reasons)
+    refused = refusals(VALIDATION._replace(**changes), verdict)
+    assert any(says in one.reason for one in refused), refused
+    for one in refused:
+        assert "\n" not in one.reason + one.advice
+        assert "--" in one.advice, "it names an option"
 
 
 def test_what_is_better_everywhere_is_accepted():

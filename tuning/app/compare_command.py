@@ -21,7 +21,7 @@ from jaxstage.studies.experiment import measure
 from jaxstage.studies.plots import ChartPlot, RunPlot
 from jaxstage.system.files import write_text
 from jaxstage.system.runtime import cpu_cores
-from tuning.store.gains_file import read_gains
+from tuning.store.gains_file import read_gains, refused_text
 from tuning.store.prepare import prepare
 
 COLOURS = {"holds": "green", "fails": "red", "unchecked": "dim"}
@@ -40,12 +40,15 @@ def find_study(name: str) -> Study:
 
 
 class OtherGains(NamedTuple):
-    """A loop with the gains of its study and with those of a file: the scored figures of both."""
+    """A loop with the gains of its study and with those of a file: the scored figures of both.
+
+    refused: why the tuning that gave the file did not accept its gains."""
 
     loop: str
     file: str
     study: dict[str, Any]
     given: dict[str, Any]
+    refused: tuple[str, ...]
 
 
 def gains_files(study: Study, words: Sequence[str]) -> dict[str, Path]:
@@ -66,13 +69,16 @@ def gains_files(study: Study, words: Sequence[str]) -> dict[str, Path]:
 
 def other_gains(given: Mapping[str, Path], words: Sequence[str] = ()) -> tuple[OtherGains, ...]:
     """Simulate loops with the gains of their study and of files. words: as for ``--set``."""
-    cases = {}
+    cases, gains = {}, {}
     for loop, file in given.items():
         cases[f"{loop}/study"] = prepare(loop, words).case
-        cases[f"{loop}/given"] = prepare(loop, words, read_gains(file)).case
+        gains[loop] = read_gains(file)
+        cases[f"{loop}/given"] = prepare(loop, words, gains[loop]).case
     found = measure(cases)
     return tuple(
-        OtherGains(loop, str(file), found[f"{loop}/study"], found[f"{loop}/given"])
+        OtherGains(
+            loop, str(file), found[f"{loop}/study"], found[f"{loop}/given"], gains[loop].refused
+        )
         for loop, file in given.items()
     )
 
@@ -101,7 +107,8 @@ def show_gains(others: Sequence[OtherGains]) -> None:
     """Print the figures of each loop with the gains of the study and of the file."""
     for one in others:
         table = Table(box=None, padding=(0, 2), header_style="bold")
-        table.add_column(f"{one.loop}, {one.file}")
+        refused = f" ({refused_text(one.refused)})" if one.refused else ""
+        table.add_column(f"{one.loop}, {one.file}{refused}")
         for name in ("study", "given"):
             table.add_column(name, justify="right", no_wrap=True)
         table.add_column("")

@@ -72,8 +72,8 @@ def show(outcome: TuningResult, extras: Extras) -> None:
     )
     verdict = "[green]accepted[/green]" if not outcome.refused else "[red]not accepted[/red]"
     console.print(f"{verdict}; held out: {verdict_text(outcome.held_out)}")
-    for reason in outcome.refused:
-        console.print(f"  {reason}")
+    for one in outcome.refused:
+        console.print(f"  {one.reason}; try {one.advice}", markup=False)
     before, after = outcome.chosen.validation.exact.objective
     console.print(f"objective {table['objective']}: {before:.4g} before, {after:.4g} after")
     console.print(_metrics(outcome, extras))

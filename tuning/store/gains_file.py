@@ -2,6 +2,8 @@
 
 law = "pi"                  # another law refuses the file; without this line any takes it
 
+refused = ["a reason"]      # of gains that their tuning did not accept; each output says so
+
 [gains]                     # what `--gains` of run, sweep, compare and tune reads
 slope = [3.2, 2.9]
 
@@ -24,7 +26,7 @@ from jaxstage.model.settings import TomlFile, nested, plain_toml, read_toml
 from jaxstage.studies import Case
 
 #: what such a file holds beside gains
-LAW, NOTES = "law", ("law", "tuned")
+LAW, REFUSED, NOTES = "law", "refused", ("law", "refused", "tuned")
 
 
 class TunedGain(NamedTuple):
@@ -39,9 +41,21 @@ class TunedGain(NamedTuple):
 
 
 def to_text(
-    case: Case, gains: Any, tuned: Sequence[TunedGain] = (), remarks: Sequence[str] = ()
+    case: Case,
+    gains: Any,
+    tuned: Sequence[TunedGain] = (),
+    remarks: Sequence[str] = (),
+    refused: Sequence[str] = (),
 ) -> str:
-    """The file. gains: all of the law of the case. remarks: one comment line each."""
+    """The text of a file of gains.
+
+    Args:
+        case: its law is named.
+        gains: all of the law.
+        tuned: what was tuned.
+        remarks: one comment line each.
+        refused: why a tuning did not accept the gains; none: it did, or there was none.
+    """
     tables = [
         {
             "gain": one.gain, "symbol": one.symbol, "unit": one.unit, "low": _plain(one.low),
@@ -50,7 +64,9 @@ def to_text(
         for one in tuned
     ]  # fmt: skip
     head = "".join(f"# {' '.join(remark.split())}\n" for remark in remarks)
-    content = {LAW: case.loop.controller.name, "gains": nested(gains)}
+    content: dict[str, Any] = {LAW: case.loop.controller.name}
+    content |= {REFUSED: list(refused)} if refused else {}
+    content |= {"gains": nested(gains)}
     return head + plain_toml(content | ({"tuned": tables} if tables else {}))
 
 
@@ -61,11 +77,19 @@ class GainsFile(NamedTuple):
         toml: The file, for the places of errors; None where there is none.
         law: The law that the gains are of; None where the file does not say.
         values: Gains by dotted name, SI: numbers or nested lists.
+        refused: Why the tuning that gave them did not accept them.
     """
 
     toml: TomlFile | None = None
     law: str | None = None
     values: Mapping[str, Any] = {}
+    refused: tuple[str, ...] = ()
+
+    def notes(self) -> tuple[str, ...]:
+        """What a user of refused gains should know, one line."""
+        if not self.toml or not self.refused:
+            return ()
+        return (f"{self.toml.file}: {refused_text(self.refused)}",)
 
     def refuse_other_law(self, case: Case) -> None:
         """Raise ValueError where the file names another law than that of the case."""
@@ -75,6 +99,11 @@ class GainsFile(NamedTuple):
                 f"{self.toml.place(LAW)}: these are gains of {self.law}, the law of {case.name} is "
                 f"{own}; a file without this line is taken for any law"
             )
+
+
+def refused_text(reasons: Sequence[str]) -> str:
+    """That gains were refused, and why."""
+    return f"these gains were REFUSED by their tuning: {'; '.join(reasons)}"
 
 
 #: nothing is said
@@ -87,7 +116,10 @@ def read_gains(file: Path | None) -> GainsFile:
         return NO_GAINS
     toml = read_toml(file)
     values = {k: v for k, v in toml.values.items() if k.partition(".")[0] not in NOTES}
-    return GainsFile(toml, toml.values.get(LAW), values)
+    refused = toml.values.get(REFUSED, [])
+    if not isinstance(refused, list) or not all(isinstance(reason, str) for reason in refused):
+        raise ValueError(f"{toml.place(REFUSED)}: {REFUSED} must be a list of reasons")
+    return GainsFile(toml, toml.values.get(LAW), values, tuple(refused))
 
 
 def _plain(values: np.ndarray) -> Any:

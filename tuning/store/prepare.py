@@ -34,11 +34,14 @@ TIMING = {
 
 
 class Prepared(NamedTuple):
-    """A case with all settings applied, the loop it comes from, and what the user should know."""
+    """A case with all settings applied, the loop it comes from, and what the user should know.
+
+    refused: why the gains of a file were not accepted by their tuning."""
 
     case: Case
     entry: NamedLoop
     notes: tuple[str, ...]
+    refused: tuple[str, ...] = ()
 
 
 def refuse_rough(name: str) -> None:
@@ -90,7 +93,8 @@ def prepare(
     case = with_max_delay(case, _delay(case))
     _check(case, places)
     _check_motion(case, by_words)
-    return Prepared(case, entry, _notes(published, case, tuple(places)))
+    notes = gains.notes() + _notes(published, case, tuple(places))
+    return Prepared(case, entry, notes, gains.refused)
 
 
 def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
@@ -105,11 +109,13 @@ def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
     run = _with_recorded(prepared, measured.simulate())
     result = summary(case, run, prepared.notes)
     result["notes"] += prepared.entry.notes(case, result["metrics"])
+    if prepared.refused:
+        result["verdict"] = f"REFUSED gains. {result['verdict']}"
     if out is not None:
         from jaxstage.plot import pictures
 
         pictures(case, run.report["scored"], run.rows["record"], result, out)
-        write_settings(out, case, result)
+        write_settings(out, case, result, prepared.refused)
         rules = readable(case.gains, run.final.memory)
         if rules is not None:
             write_text(out / "rules.txt", rules)

@@ -65,11 +65,13 @@ def _sizes(case: Case) -> dict[str, Any]:
     }
 
 
-def write_settings(folder: Path, case: Case, result: dict[str, Any]) -> None:
+def write_settings(
+    folder: Path, case: Case, result: dict[str, Any], refused: tuple[str, ...] = ()
+) -> None:
     """run.json, gains.toml and scenario.toml: what happened, and what ``--gains`` and
     ``--scenario`` take back."""
     scenario = {name: getattr(case.scenario, name) for name in SCENARIO_PARTS}
     seed = {"seed": int(jax.random.key_data(case.scenario.key)[-1])}
     write_text(folder / "run.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
-    write_text(folder / "gains.toml", gains_file.to_text(case, case.gains))
+    write_text(folder / "gains.toml", gains_file.to_text(case, case.gains, refused=refused))
     write_text(folder / "scenario.toml", to_toml(scenario, seed))

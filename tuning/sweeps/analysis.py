@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from jaxstage.model.settings import nearest_name
+from tuning.store.gains_file import refused_text
 from tuning.sweeps import store
 from tuning.sweeps.configuration import SweepPlan
 from tuning.sweeps.sensitivity import (
@@ -224,7 +225,8 @@ def _compare(
 
 def _notes(plan: SweepPlan, unpaired: bool) -> tuple[str, ...]:
     design, runs = plan.table["design"], plan.table["runs"]
-    notes = []
+    refused = plan.table.get("refused", {}).items()
+    notes = [f"{loop}: {refused_text(reasons)}" for loop, reasons in refused]
     if design == "corners":
         notes.append("corners are no sample of the spreads: counts, but no yield and no statistics")
     if design == "saltelli":

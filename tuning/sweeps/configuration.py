@@ -105,6 +105,7 @@ def _table(request: SweepRequest) -> dict[str, Any]:
     ]
     for case in loops:
         _check_space(case, spreads, scenario)
+    refused = {loop: list(one.refused) for loop, one in gains.items() if one.refused}
     return {
         "jaxstage": __version__,
         "jax": jax.__version__,
@@ -113,6 +114,7 @@ def _table(request: SweepRequest) -> dict[str, Any]:
         "design": request.design,
         "precision": request.precision,
         "chunk": min(request.chunk, request.runs),
+        **({"refused": refused} if refused else {}),
         "blocks": scenario.blocks,
         "spread": spreads,
         "correlation": scenario.correlations,

@@ -70,6 +70,7 @@ def _sheet(found: Analysis) -> sweep.Sheet:
     name, unit = split_key(found.metric)
     footer = "   |   ".join(
         (
+            *(f"REFUSED gains: {loop}" for loop in table.get("refused", ())),
             f"{table['runs']} plants, {table['design']}",
             f"seed {table['seed']}",
             f"{table['precision']} precision",

@@ -154,6 +154,7 @@ def configure_tuning(request: TuningRequest) -> str:
             "risk": request.risk,
             "margin": float(request.margin),
             "surrogate": request.surrogate,
+            **({"refused": list(gains.refused)} if gains.refused else {}),
             "blocks": dict(scenario.blocks),
             "search": list(searches),
             "case": case_table(prepared.case),

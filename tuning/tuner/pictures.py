@@ -76,7 +76,7 @@ def _footer(outcome: TuningResult) -> str:
             f"{outcome.simulations:.0f} simulations",
             f"objective {table['objective']}",
             f"{outcome.problem.runs} training runs, seed {table['seed']}",
-            "accepted" if not outcome.refused else f"NOT accepted: {outcome.refused[0]}",
+            "accepted" if not outcome.refused else f"NOT accepted: {outcome.refused[0].reason}",
             f"configuration {digest(outcome.plan.text)}",
             f"jaxstage {__version__}, jax {jax.__version__}",
         )

@@ -55,7 +55,8 @@ def as_object(outcome: TuningResult, extras: Extras) -> dict[str, Any]:
         "ended": tuned.ended,
         "objective": outcome.plan.table["objective"],
         "accepted": not outcome.refused,
-        "refused": list(outcome.refused),
+        "refused": [one.reason for one in outcome.refused],
+        "try_next": list(dict.fromkeys(one.advice for one in outcome.refused)),
         "before": {"objective": number(objective[0]), "figures": extras.before},
         "after": {"objective": number(objective[1]), "figures": extras.after},
         "held_out": held_out_object(outcome.held_out),
@@ -222,7 +223,7 @@ def _courses(outcome: TuningResult, extras: Extras) -> tuple[ConvergenceCurve, .
 
 def gains_text(outcome: TuningResult, gains: Any = None, remark: str = "") -> str:
     """The file of gains: all values, and of the tuned ones unit, range and value before."""
-    verdict = [f"NOT accepted: {reason}" for reason in outcome.refused]
+    verdict = [f"NOT accepted: {one.reason}" for one in outcome.refused]
     verdict = verdict or [f"held out: {verdict_text(outcome.held_out)}"]
     entries = outcome.problem.space.entries
     return to_text(
@@ -234,6 +235,7 @@ def gains_text(outcome: TuningResult, gains: Any = None, remark: str = "") -> st
             f"configuration {digest(outcome.plan.text)}; SI units",
             *([remark] if remark else verdict),
         ],
+        [] if remark else [one.reason for one in outcome.refused],
     )
 
 

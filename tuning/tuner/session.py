@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from tuning.store.gains_file import refused_text
 from tuning.tuner.configuration import (
     TuningPlan,
     fresh_runs,
@@ -25,6 +26,7 @@ from tuning.tuner.evidence.diagnostics import Diagnostics, diagnose
 from tuning.tuner.evidence.validation import (
     HeldOut,
     PairedRuns,
+    Refusal,
     Validation,
     ValidationRuns,
     half_step,
@@ -113,7 +115,7 @@ class TuningResult(NamedTuple):
         held_out: verdict of the held-out runs.
         pairs: the held-out runs.
         diagnostics: of the search and its result.
-        refused: why the gains are not accepted, one line each.
+        refused: why the gains are not accepted.
     """
 
     plan: TuningPlan
@@ -125,7 +127,7 @@ class TuningResult(NamedTuple):
     held_out: HeldOut
     pairs: PairedRuns
     diagnostics: Diagnostics
-    refused: tuple[str, ...]
+    refused: tuple[Refusal, ...]
 
     @property
     def tuned(self) -> SearchResult:
@@ -167,6 +169,10 @@ def run_tuning(
     pairs = simulate_pairs(runs_of(plan, "held_out"), plan.space.gains, chosen.gains, metric)
     verdict = held_out_verdict(pairs)
     watch.stage("diagnostics")
+    diagnostics = diagnose(problem, tuned, chosen.z, plan.case)
+    if "refused" in plan.table:
+        note = f"the gains before: {refused_text(plan.table['refused'])}"
+        diagnostics = diagnostics._replace(notes=(note, *diagnostics.notes))
     return TuningResult(
         plan=plan,
         problem=problem,
@@ -176,7 +182,7 @@ def run_tuning(
         chosen=chosen,
         held_out=verdict,
         pairs=pairs,
-        diagnostics=diagnose(problem, tuned, chosen.z, plan.case),
+        diagnostics=diagnostics,
         refused=refusals(chosen.validation, verdict),
     )
 
@@ -284,34 +290,36 @@ def _select(plan: TuningPlan, problem: Problem, tuned: SearchResult) -> Selected
     those of the search where none do."""
     begun = problem.space.start()
     points = begun + np.append(0.0, SHARES)[:, None] * (tuned.z - begun)
-    forms = [
-        evaluate(problem, points),
-        _again(plan, problem, half_step(plan.table["train"], plan.blocks), points),
-        _again(plan, problem, prolonged(validation_table(plan), plan.blocks), points),
-    ]
+    others = (
+        half_step(plan.table["train"], plan.blocks),
+        prolonged(validation_table(plan), plan.blocks),
+    )
+    forms = [(problem, evaluate(problem, points))]
+    for every in others:
+        other = problem_of(plan, groups_of(plan, every), problem, width=len(points))
+        forms.append((other, evaluate(other, points)))
     candidates = []
     for i, share in enumerate(SHARES, start=1):
-        exact, half, far = (_validation_runs(plan, form, i) for form in forms)
-        validation = Validation(exact, half, far, missed_goals(problem, forms[0], i))
+        exact, half, far = (_validation_runs(plan.metric, *form, i) for form in forms)
+        validation = Validation(exact, half, far, missed_goals(*forms[0], i))
         gains = problem.space.gains_of(jnp.asarray(points[i]))
         candidates.append(SelectedGains(points[i], gains, share, validation))
     good = [one for one in candidates if not validation_refusals(one.validation)]
     return min(good, key=lambda one: one.validation.exact.objective[1], default=candidates[0])
 
 
-def _again(plan: TuningPlan, problem: Problem, every: list[RunSet], z: np.ndarray) -> Evaluation:
-    """Candidates on the training runs in another form."""
-    return evaluate(problem_of(plan, groups_of(plan, every), problem, width=len(z)), z)
-
-
-def _validation_runs(plan: TuningPlan, form: Evaluation, index: int) -> ValidationRuns:
+def _validation_runs(metric: str, problem: Problem, form: Evaluation, index: int) -> ValidationRuns:
     """The candidate at a place against the first."""
-    values = form.columns[plan.metric][[0, index]]
+    values = form.columns[metric][[0, index]]
     both = np.isfinite(values).all(axis=0)
     means = values[:, both].mean(axis=1) if both.any() else np.full(2, np.nan)
     before, after = form.objective[[0, index]]
-    lost = int(np.isfinite(form.lost_at_s[index]).sum())
-    return ValidationRuns((float(means[0]), float(means[1])), (float(before), float(after)), lost)
+    lost_at = form.lost_at_s[index]
+    lost = int(np.isfinite(lost_at).sum())
+    decides = np.nanargmin(lost_at) if lost else np.argmax(np.nan_to_num(values[1]))
+    run = problem.run_names[int(decides)]
+    metrics, objectives = (float(means[0]), float(means[1])), (float(before), float(after))
+    return ValidationRuns(metrics, objectives, lost, run)
 
 
 def missed_goals(problem: Problem, evaluation: Evaluation, index: int) -> tuple[str, ...]:

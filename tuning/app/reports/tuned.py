@@ -58,6 +58,8 @@ def _verdict(found: Found) -> Iterator[str]:
     """Accepted or not, and why; then what the held-out runs say. found: a ``tune.json``."""
     told = "; ".join(found["refused"])
     yield f"NOT accepted: {told}." if told else "Accepted: the gains passed every test."
+    if told:
+        yield f"What to try next: {'; '.join(found['try_next'])}."
     yield held_out(found["held_out"])
 
 

@@ -39,12 +39,14 @@ class PairedRuns(NamedTuple):
         metric: its column.
         before, after: under the gains before and after, NaN where a run was lost, (runs,).
         columns: every metric, name -> (2, runs).
+        labels: of the runs, for people.
     """
 
     metric: str
     before: np.ndarray
     after: np.ndarray
     columns: dict[str, np.ndarray]
+    labels: tuple[str, ...] = ()
 
     def lost(self) -> tuple[int, int]:
         """Runs lost before and after."""
@@ -128,7 +130,8 @@ def simulate_pairs(every: Sequence[RunSet], before: Any, after: Any, metric: str
     every = [one._replace(case=with_light_metric(one.case, metric)) for one in every]
     columns = simulate_metrics(every, [before, after])
     values = column_of(columns, metric, every[0].case.loop.plant.axes)
-    return PairedRuns(metric, values[0], values[1], columns)
+    labels = tuple(label for one in every for label in one.labels)
+    return PairedRuns(metric, values[0], values[1], columns, labels)
 
 
 def half_step(table: SetTable, blocks: Mapping[str, str]) -> list[RunSet]:
@@ -168,6 +171,7 @@ class HeldOut(NamedTuple):
         lost_before, lost: runs lost under either gains.
         better: on how many runs the gains after are better; a lost run loses.
         others: every metric -> its means before and after.
+        worst: ", most in RUN": the run that the gains after do worst on, or empty.
     """
 
     metric: str
@@ -179,6 +183,7 @@ class HeldOut(NamedTuple):
     lost: int
     better: Share
     others: dict[str, tuple[float | None, float | None]]
+    worst: str = ""
 
 
 def held_out_verdict(pairs: PairedRuns) -> HeldOut:
@@ -198,6 +203,7 @@ def held_out_verdict(pairs: PairedRuns) -> HeldOut:
         lost=lost,
         better=share(int(np.sum(ranked[1] < ranked[0])), len(pairs.before)),
         others=_others(pairs.columns, both),
+        worst=f", most in {pairs.labels[int(np.argmax(ranked[1]))]}" if pairs.labels else "",
     )
 
 
@@ -233,11 +239,13 @@ class ValidationRuns(NamedTuple):
         metric: its means before and after.
         objective: J before and after.
         lost: runs that the gains after lose.
+        run: the run that decides: the first that is lost, else that with the largest metric.
     """
 
     metric: tuple[float, float]
     objective: tuple[float, float]
     lost: int
+    run: str = ""
 
 
 class Validation(NamedTuple):
@@ -256,51 +264,91 @@ class Validation(NamedTuple):
     missed: tuple[str, ...]
 
 
-def refusals(validation: Validation, held_out: HeldOut) -> tuple[str, ...]:
-    """Why the gains are not accepted, one line each; none: they are."""
+class Refusal(NamedTuple):
+    """A test that gains do not pass.
+
+    Attributes:
+        reason: the test, its numbers and the run that decides, in one line.
+        advice: the option that may help.
+    """
+
+    reason: str
+    advice: str
+
+
+#: what to try where the search found too little
+SEARCH_MORE = "a larger --budget, more --starts, or wider ranges by --gains NAME=LOW..HIGH"
+#: what to try where gains are too near the edge of stability
+MORE_MARGIN = "a larger --margin, or --worst-case 2"
+
+
+def refusals(validation: Validation, held_out: HeldOut) -> tuple[Refusal, ...]:
+    """Why the gains are not accepted; none: they are."""
     return (*validation_refusals(validation), *_held_out_refusals(held_out))
 
 
-def validation_refusals(validation: Validation) -> tuple[str, ...]:
-    """What the training runs in their three forms say against the gains, one line each."""
+def validation_refusals(validation: Validation) -> tuple[Refusal, ...]:
+    """What the training runs in their three forms say against the gains."""
     exact, half, longer, missed = validation
     far = f"{LONGER} times the time and other plants"
-    reasons = [*missed]
+    refused = [Refusal(one, "a larger --budget, or a wider --goal") for one in missed]
     if exact.lost:
-        reasons.append(f"{exact.lost} training runs are lost")
+        refused.append(Refusal(f"{exact.lost} training runs are lost{_first(exact)}", SEARCH_MORE))
     elif not exact.objective[1] < exact.objective[0]:
-        reasons.append(f"the objective on the exact model {_did_not_fall(exact)}")
+        reason = f"the objective on the exact model {_did_not_fall(exact)}"
+        refused.append(Refusal(reason, SEARCH_MORE))
     for name, one in (("half the step", half), (far, longer)):
         if one.lost:
-            reasons.append(f"with {name} {one.lost} runs are lost")
+            advice = "--set substeps=N with a larger N" if one is half else MORE_MARGIN
+            refused.append(Refusal(f"with {name} {one.lost} runs are lost{_first(one)}", advice))
         elif not one.objective[1] < one.objective[0]:
-            reasons.append(f"with {name} the objective {_did_not_fall(one)}")
+            advice = MORE_MARGIN if one is longer else SEARCH_MORE
+            refused.append(Refusal(f"with {name} the objective {_did_not_fall(one)}", advice))
     metric = exact.metric[1]
     if abs(half.metric[1] - metric) > STEP_LIMIT * abs(metric):
-        reasons.append(
+        reason = (
             f"with half the step the metric is {half.metric[1]:.4g} instead of {metric:.4g}: it "
-            "depends on the integration"
+            f"depends on the integration (limit {STEP_LIMIT:.0%})"
         )
+        refused.append(Refusal(reason, "--set substeps=N with a larger N"))
     if longer.metric[1] > GROWTH_LIMIT * abs(metric):
-        reasons.append(f"with {far} the metric grows from {metric:.4g} to {longer.metric[1]:.4g}")
-    return tuple(reasons)
+        reason = (
+            f"with {far} the metric grows from {metric:.4g} to {longer.metric[1]:.4g} (limit "
+            f"{GROWTH_LIMIT:g} times){_largest(longer)}"
+        )
+        advice = '--goal "growth < 1.1", or longer runs by horizons in the file of --train'
+        refused.append(Refusal(reason, advice))
+    return tuple(refused)
+
+
+def _first(runs: ValidationRuns) -> str:
+    return f", the first {runs.run}" if runs.run else ""
+
+
+def _largest(runs: ValidationRuns) -> str:
+    return f", most in {runs.run}" if runs.run else ""
 
 
 def _did_not_fall(runs: ValidationRuns) -> str:
     before, after = runs.objective
-    return f"did not fall: {before:.4g} before, {after:.4g} after"
+    return f"did not fall: {before:.4g} before, {after:.4g} after{_largest(runs)}"
 
 
-def _held_out_refusals(verdict: HeldOut) -> tuple[str, ...]:
+def _held_out_refusals(verdict: HeldOut) -> tuple[Refusal, ...]:
     if verdict.lost > verdict.lost_before:
-        runs = f"{verdict.lost} of {verdict.runs} held-out runs are lost"
-        return (f"{runs}, {verdict.lost_before} before",)
+        reason = (
+            f"{verdict.lost} of {verdict.runs} held-out runs are lost, {verdict.lost_before} before"
+        )
+        return (Refusal(reason + verdict.worst, MORE_MARGIN),)
     change = verdict.change
     if change is None:
-        return ("too few held-out runs are left to compare",)
+        reason = "too few held-out runs are left to compare"
+        return (Refusal(reason, "narrower spreads by --scenario, or other gains to start from"),)
     if change.high >= 0:
-        return (
+        reason = (
             f"{verdict.metric} on held-out plants: change {change.value:+.1%} "
-            f"({change.low:+.1%}..{change.high:+.1%}) is not shown to be a gain",
+            f"({change.low:+.1%}..{change.high:+.1%}) is not shown to be a gain{verdict.worst}"
         )
+        advice = f"{SEARCH_MORE}, or more plants in the file of --train"
+        return (Refusal(reason, advice),)
     return ()
