@@ -41,7 +41,7 @@ def folder(command, monkeypatch):
     Tunings are only begun: the search is tested elsewhere.
     """
     few_figures(monkeypatch)
-    monkeypatch.setattr("tuning.app.tune_command._tune", lambda plan, *_: plan.space)
+    monkeypatch.setattr("tuning.app.commands.tune._tune", lambda plan, *_: plan.space)
     monkeypatch.syspath_prepend(os.getcwd())
     monkeypatch.setattr(
         "tuning.sweeps.pictures.pictures", lambda found, folder: []

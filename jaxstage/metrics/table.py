@@ -1,9 +1,10 @@
 """A report as flat columns with units in their names."""
 
-import math
 import re
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from jaxstage.model.blocks import Plant
@@ -22,31 +23,75 @@ def key(name: str, unit: str) -> str:
     return f"{name}_{suffix}" if suffix else name
 
 
-def _number(value: Any, factor: float) -> float | None:
-    scaled = float(value) * factor
-    return scaled if math.isfinite(scaled) else None
+class ReportedMetric(NamedTuple):
+    """One metric of a report.
+
+    Args:
+        name: of its field.
+        unit: that it is shown in.
+        values: in that unit, (batch...,) or (batch..., axes).
+        axes: names of its last axis; empty where it is one number a run.
+    """
+
+    name: str
+    unit: str
+    values: Any
+    axes: tuple[str, ...]
+
+    @property
+    def key(self) -> str:
+        """Its column: name and unit."""
+        return key(self.name, self.unit)
+
+    def by_axis(self) -> dict[str, Any]:
+        """Axis -> (batch...,)."""
+        return {axis: self.values[..., i] for i, axis in enumerate(self.axes)}
+
+    def columns(self) -> dict[str, Any]:
+        """Column -> (batch...,), one an axis, e.g. ``following_rms_x_um``."""
+        if not self.axes:
+            return {self.key: self.values}
+        return {key(f"{self.name}_{axis}", self.unit): v for axis, v in self.by_axis().items()}
+
+
+def reported_metrics(report: Any, plant: Plant, batch: int = 0) -> Iterator[ReportedMetric]:
+    """Every metric of a report in its display unit; the report may be traced.
+
+    Args:
+        report: leaves (batch...,) or (batch..., axes), SI.
+        plant: names the axes and the unit of the command.
+        batch: leading axes of every leaf.
+    """
+    for path, general, value in leaves(report):
+        quantity = in_units_of(general, plant.command_unit)
+        values = value * quantity.factor
+        axes = plant.axes if values.ndim > batch else ()
+        yield ReportedMetric(path.rsplit(".", 1)[-1], quantity.shown, values, axes)
 
 
 def columns(report: Any, plant: Plant) -> dict[str, Any]:
-    """Figures of one run in display units: {key: number}, per-axis ones {key: {axis: number}}.
+    """Metrics of one run in display units: {key: number}, per-axis ones {key: {axis: number}}.
 
-    plant: names the axes and the unit of the command. What is not finite (a lost run, a window
-    without samples) becomes None. Raises ValueError if two fields share a name.
+    What is not finite (a lost run, a window without samples) becomes None.
+
+    Args:
+        report: leaves () or (axes,), SI.
+        plant: names the axes and the unit of the command.
+
+    Raises:
+        ValueError: if two fields share a name.
     """
     table: dict[str, Any] = {}
-    for path, general, value in leaves(report):
-        quantity = in_units_of(general, plant.command_unit)
-        name = key(path.rsplit(".", 1)[-1], quantity.shown)
-        if name in table:
-            raise ValueError(f"two figures are called {name}")
-        array = np.asarray(value)
-        if array.ndim:
-            table[name] = {
-                a: _number(v, quantity.factor) for a, v in zip(plant.axes, array, strict=True)
-            }
-        else:
-            table[name] = _number(array, quantity.factor)
+    for metric in reported_metrics(jax.tree.map(lambda x: np.asarray(x, float), report), plant):
+        if metric.key in table:
+            raise ValueError(f"two figures are called {metric.key}")
+        by_axis = {axis: _finite(value) for axis, value in metric.by_axis().items()}
+        table[metric.key] = by_axis if metric.axes else _finite(metric.values)
     return table
+
+
+def _finite(value: np.ndarray) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def split_key(name: str) -> tuple[str, str]:

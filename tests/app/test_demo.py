@@ -44,8 +44,8 @@ def small(command, monkeypatch):
     begun, stops = [], []
     few_figures(monkeypatch)
 
-    def tune(plan, out, *_):
-        loop = plan.table["loop"]
+    def tune(plan, methods, options):
+        loop, out = plan.table["loop"], options.out
         if loop == SECOND and stops:
             raise stops.pop()
         begun.append(f"tune {loop}")
@@ -64,7 +64,7 @@ def small(command, monkeypatch):
             "laps": 1, "lap_time_s": 0.02, "dt_s": 1e-4, "precision": "double", "notes": [],
         }  # fmt: skip
 
-    monkeypatch.setattr("tuning.app.tune_command._tune", tune)
+    monkeypatch.setattr("tuning.app.commands.tune._tune", tune)
     monkeypatch.setattr("tuning.store.prepare.execute", run)
     monkeypatch.setattr(  # what other tests draw
         "tuning.sweeps.pictures.save", lambda drawn, file: save(Figure((1, 1)), file)

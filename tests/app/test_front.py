@@ -148,7 +148,8 @@ def test_tune(command, place, monkeypatch):
     """The words are understood; what a tuning does and reports is in test_tuner_cli."""
     plans = []
     monkeypatch.setattr(
-        "tuning.app.tune_command._tune", lambda plan, out, *_: plans.append((plan, out))
+        "tuning.app.commands.tune._tune",
+        lambda plan, methods, options: plans.append((plan, options.out)),
     )
     example(command, "tune", place, monkeypatch)
     ((plan, out),) = plans
@@ -157,7 +158,7 @@ def test_tune(command, place, monkeypatch):
 
 def test_compare_and_its_report(command, place, monkeypatch):
     study = small_study(10.5)
-    monkeypatch.setattr("tuning.app.compare_command.known_studies", lambda: (study,))
+    monkeypatch.setattr("tuning.app.comparison.known_studies", lambda: (study,))
     monkeypatch.setattr("tuning.app.reports.comparison.known_studies", lambda: (study,))
     example(command, "compare", place, monkeypatch)
     assert command("report", "compared", "--out", "one.html").status == 0

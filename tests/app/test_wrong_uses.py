@@ -178,7 +178,7 @@ def test_a_full_disk_is_one_line_with_the_file(here, monkeypatch):
     [
         ("tuning.sweeps.sweep.sweep", "sweep pi-circle -n 8", "finished chunks are kept, --resume"),
         ("tuning.tuner.session.run_tuning", "tune pi-circle", "every evaluation is kept, --resume"),
-        ("tuning.app.demo.cli._run", "demo", "`jaxstage demo --out new` goes on"),
+        ("tuning.app.commands.demo._run", "demo", "`jaxstage demo --out new` goes on"),
     ],
 )
 @pytest.mark.parametrize("stopped", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space", "f")])
@@ -203,7 +203,7 @@ def test_interrupted_elsewhere(command, monkeypatch):
     def stop(name):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tuning.app.compare_command.find_study", stop)
+    monkeypatch.setattr("tuning.app.comparison.find_study", stop)
     answer = command("compare", "fuzzy-cmac")
     assert answer.status == 130
     assert answer.err == "jaxstage: interrupted; every file is whole or absent\n"
@@ -213,7 +213,7 @@ PROGRAM = """
 import sys
 import jax
 from tuning.app import main as cli
-from tuning.app import compare_command as comparisons
+from tuning.app import comparison as comparisons
 def stop(name):
     def body(i, x):
         for _ in range(200):  # more than what JAX computes at once
@@ -266,7 +266,7 @@ def test_warnings_of_libraries_are_one_line(command, monkeypatch):
         warnings.warn("first\n  second", stacklevel=2)
         raise ValueError("then refused")
 
-    monkeypatch.setattr("tuning.app.compare_command.find_study", warned)
+    monkeypatch.setattr("tuning.app.comparison.find_study", warned)
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         answer = command("compare", "fuzzy-cmac")
@@ -277,7 +277,7 @@ def test_a_backend_that_is_not_there(command, monkeypatch):
     def missing(name):
         raise RuntimeError("Unable to initialize backend 'cuda': no such device")
 
-    monkeypatch.setattr("tuning.app.compare_command.find_study", missing)
+    monkeypatch.setattr("tuning.app.comparison.find_study", missing)
     answer = command("compare", "fuzzy-cmac")
     assert answer.status == 2 and answer.err.count("\n") == 1 and "backend 'cuda'" in answer.err
 

@@ -22,7 +22,7 @@ from jaxstage.studies import all_studies, build
 from tests.compiler.cortex_m4 import machine
 from tests.helpers.c_driver import SANE, STRICT, drive, identity, law_files, run, written
 from tuning.app import main
-from tuning.app.export_command import recorded
+from tuning.app.export_folder import recorded
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler here")
 CROSS = shutil.which(machine.COMPILER)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxstage as js
-import tuning.app.compare_command
+import tuning.app.comparison
 from jaxstage import plot
 from jaxstage.model.fields import replace
 from jaxstage.model.settings import known_leaves
@@ -245,7 +245,7 @@ KEYS = {
 
 
 def command(monkeypatch, capsys, *words):
-    monkeypatch.setattr(tuning.app.compare_command, "known_studies", lambda: (small_study(10.5),))
+    monkeypatch.setattr(tuning.app.comparison, "known_studies", lambda: (small_study(10.5),))
     monkeypatch.setattr("jaxstage.system.runtime.configure", lambda **_: None)
     monkeypatch.setattr(sys, "argv", ["jaxstage", *words])
     with pytest.raises(SystemExit) as stopped:

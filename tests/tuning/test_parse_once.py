@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.reads import counted
-from tuning.app.compare_command import other_gains
+from tuning.app.comparison import other_gains
 from tuning.store.gains_file import read_gains
 from tuning.store.prepare import prepare
 from tuning.sweeps.configuration import SweepRequest, configure_sweep

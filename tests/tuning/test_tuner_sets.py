@@ -12,7 +12,7 @@ import pytest
 
 import jaxstage as js
 from jaxstage.metrics import columns
-from tuning.app.compare_command import find_study, gains_files, other_gains
+from tuning.app.comparison import find_study, gains_files, other_gains
 from tuning.store.gains_file import NO_GAINS
 from tuning.store.prepare import prepare
 from tuning.tuner.evidence.validation import (

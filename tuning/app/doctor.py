@@ -2,7 +2,7 @@
 
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -39,19 +39,39 @@ def examine() -> dict[str, Any]:
     }
 
 
+def text(answer: Mapping[str, Any]) -> str:
+    """The object of `examine`, one line an entry."""
+    lines = []
+    for name, value in answer.items():
+        told = f"{value:.3g}" if isinstance(value, float) else value
+        lines.append(f"{name:18s}{', '.join(value) if isinstance(value, list) else told}")
+    return "\n".join(lines)
+
+
 def explained(name: str) -> tuple[dict[str, Any], str]:
     """What the engine makes of a loop: the object of ``jaxstage doctor LOOP --json``, and text."""
     case = build(name)
-    found = explain(case.loop, case.gains, case.scenario, case.path)
-    kernels = [
-        {"kernel": k.what, "reason": k.reason, "operations": k.nodes, "bytes": k.bytes,
-         "compile_s": k.seconds, "graph_s": k.graph_seconds, "cached": k.cached}
-        for k in found.kernels
-    ]  # fmt: skip
-    shortest = found.shortest if found.shortest < float("inf") else None
-    top = {"loop": name, "engine": found.engine, "compiled_from_ticks": shortest,
-           "compiler": found.compiler, "compiled": found.compiled}  # fmt: skip
-    return top | {"kernels": kernels}, f"{name}: {found.text()}"
+    engine = explain(case.loop, case.gains, case.scenario, case.path)
+    answer = {
+        "loop": name,
+        "engine": engine.engine,
+        "compiled_from_ticks": engine.shortest if engine.shortest < float("inf") else None,
+        "compiler": engine.compiler,
+        "compiled": engine.compiled,
+        "kernels": [
+            {
+                "kernel": k.what,
+                "reason": k.reason,
+                "operations": k.nodes,
+                "bytes": k.bytes,
+                "compile_s": k.seconds,
+                "graph_s": k.graph_seconds,
+                "cached": k.cached,
+            }
+            for k in engine.kernels
+        ],
+    }
+    return answer, f"{name}: {engine.text()}"
 
 
 def speed() -> float:
@@ -63,9 +83,14 @@ def speed() -> float:
 
     def once() -> Any:
         run = rollouts(
-            case.loop, gains, case.scenario, case.path, TICKS,
-            in_axes=(axes, None, None), tile=LANES // 2,
-        )  # fmt: skip
+            case.loop,
+            gains,
+            case.scenario,
+            case.path,
+            TICKS,
+            in_axes=(axes, None, None),
+            tile=LANES // 2,
+        )
         return jax.block_until_ready(run.report)
 
     once()

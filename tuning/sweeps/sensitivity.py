@@ -15,8 +15,8 @@ import numpy as np
 from jax import Array
 from scipy import stats
 
-from jaxstage.metrics.table import key
-from jaxstage.model.fields import in_units_of, leaves, replace
+from jaxstage.metrics.table import reported_metrics
+from jaxstage.model.fields import replace
 from jaxstage.simulate.gradients import select, value_and_gradient
 from jaxstage.simulate.rollout import simulate
 from jaxstage.studies import Case
@@ -176,15 +176,9 @@ def _figure(case: Case, column: str) -> Callable[[Any], Array]:
     """Picks a column, in its display unit, out of a report that may be traced."""
 
     def pick(report: Any) -> Array:
-        plant = case.loop.plant
-        for path, general, value in leaves(report):
-            quantity = in_units_of(general, plant.command_unit)
-            name = path.rsplit(".", 1)[-1]
-            if key(name, quantity.shown) == column and value.ndim == 0:
-                return value * quantity.factor
-            for i, axis in enumerate(plant.axes):
-                if value.ndim and key(f"{name}_{axis}", quantity.shown) == column:
-                    return value[i] * quantity.factor
+        for metric in reported_metrics(report, case.loop.plant):
+            if column in metric.columns():
+                return metric.columns()[column]
         raise ValueError(f"{case.name} has no figure {column}")
 
     return pick

@@ -7,9 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxstage.metrics.table import key
+from jaxstage.metrics.table import reported_metrics
 from jaxstage.model.blocks import Plant
-from jaxstage.model.fields import in_units_of, leaves
 from jaxstage.model.signals import Run
 from jaxstage.studies import Case
 from tuning.uncertainty.uncertain_space import Uncertain
@@ -34,15 +33,10 @@ def metric_columns(report: Any, plant: Plant) -> dict[str, np.ndarray]:
 
     report: leaves (n,) or (n, axes). Lost runs are NaN.
     """
+    batch = jax.tree.map(lambda x: np.asarray(x, float), report)
     table = {}
-    for path, general, value in leaves(report):
-        quantity = in_units_of(general, plant.command_unit)
-        name = path.rsplit(".", 1)[-1]
-        array = np.asarray(value).astype(float) * quantity.factor
-        parts = {"": array} if array.ndim == 1 else {
-            f"_{axis}": array[:, i] for i, axis in enumerate(plant.axes)
-        }  # fmt: skip
-        table |= {key(name + suffix, quantity.shown): column for suffix, column in parts.items()}
+    for metric in reported_metrics(batch, plant, batch=1):
+        table |= metric.columns()
     return table
 
 

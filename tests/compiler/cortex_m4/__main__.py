@@ -6,7 +6,7 @@ from pathlib import Path
 
 import jaxstage as js
 from tests.compiler.cortex_m4.machine import build, emulate, needs
-from tuning.app.export_command import export
+from tuning.app.export_folder import CForm, export
 
 #: one loop of each law, whole or for one axis
 LOOPS = (
@@ -23,7 +23,7 @@ def main() -> None:
     for name in sys.argv[1:] or LOOPS:
         loop, _, axis = name.partition(":")
         with tempfile.TemporaryDirectory() as folder:
-            export(js.build(loop), Path(folder), True, axis or None, "control")
+            export(js.build(loop), Path(folder), CForm(True, axis or None, "control"))
             found = needs(Path(folder))
             build(Path(folder), "replay.c")
             off = emulate(Path(folder)).split(",")[1].split(": ")[1]

@@ -1,4 +1,4 @@
-"""What the commands of the demo found: one object, and the picture of all four sweeps."""
+"""Results of a demo: one object, and the picture of all four sweeps."""
 
 import json
 from collections.abc import Mapping
@@ -12,14 +12,13 @@ from jaxstage import __version__
 from jaxstage.metrics.table import split_key
 from jaxstage.plot import save, sweep
 from tuning.app.demo import stages
-from tuning.app.reports import tuned
+from tuning.app.reports.tuning import held_out
+from tuning.app.result_table import Row
 from tuning.store.work_folder import digest
 from tuning.sweeps import store
 from tuning.sweeps.configuration import build
 from tuning.tuner.evidence.validation import PairedRuns, held_out_verdict
 from tuning.tuner.report import held_out_object
-
-Found = Mapping[str, Any]
 
 
 class Swept(NamedTuple):
@@ -88,24 +87,24 @@ def _loop(folder: Path, loop: str, figures: Swept) -> dict[str, Any]:
 
 def _pair(folder: Path) -> Any:
     """One law against the other on the same plants; None where nothing can be said."""
-    found = _read(folder / "summary.json")["comparisons"]
-    return found[0] if found else None
+    comparisons = _read(folder / "summary.json")["comparisons"]
+    return comparisons[0] if comparisons else None
 
 
-def _line(loop: Found) -> str:
+def _line(loop: Row) -> str:
     reasons = "; ".join(loop["refused"])
     state = f"tuned gains NOT accepted ({reasons})" if reasons else "tuned gains accepted"
-    return f"{loop['loop']}: {state}; {tuned.held_out(loop['plants'])}"
+    return f"{loop['loop']}: {state}; {held_out(loop['plants'])}"
 
 
-def _comparison(pairs: Mapping[str, Found | None]) -> str:
+def _comparison(pairs: Mapping[str, Row | None]) -> str:
     """Which law is the more accurate one, before and after."""
     told = [f"{_winner(pair)} at {name} gains" for name, pair in pairs.items() if pair]
     name = split_key(stages.METRIC)[0]
     return f"Smaller {name} on the same plants: {', '.join(told) or 'cannot be said'}."
 
 
-def _winner(pair: Found) -> str:
+def _winner(pair: Row) -> str:
     share = pair["better"]
     first = share["value"] >= 0.5
     value, *ends = (share[key] if first else 1 - share[key] for key in ("value", "low", "high"))
@@ -115,15 +114,17 @@ def _winner(pair: Found) -> str:
     return f"{name} on {told} of them ({ends[0]} to {ends[1]})"
 
 
-def picture(folder: Path, answer: Found) -> Path:
+def picture(folder: Path, answer: Row) -> Path:
     """plants.png: how the figure is distributed over the plants, under both laws, before and
     after."""
     name, unit = split_key(stages.METRIC)
-    footer = "   |   ".join((
-        f"{answer['plants']} plants, sobol, seed {answer['seed']}", "double precision",
+    settings = (
+        f"{answer['plants']} plants, sobol, seed {answer['seed']}",
+        "double precision",
         f"configuration {answer['configuration_sha256']}",
         f"jaxstage {answer['version']}, jax {answer['jax']}",
-    ))  # fmt: skip
+    )
+    footer = "   |   ".join(settings)
     sheet = sweep.Sheet(f"{name} ({unit.replace('um', 'µm')})", None, footer)
     samples = [
         sweep.MetricSample(f"{loop}, {when} gains", values, None)

@@ -21,10 +21,11 @@ import tomli_w
 
 from jaxstage import __version__
 from jaxstage.system.files import write_text
-from tuning.store import work_folder as folders
+from tuning.app.messages import json_text
+from tuning.store.work_folder import FolderKind
 from tuning.tuner.report import ACCEPTED, REFUSED
 
-KIND = folders.FolderKind("demo.toml", "demo", ("jaxstage", "loops", "plants"))
+KIND = FolderKind("demo.toml", "demo", ("jaxstage", "loops", "plants"))
 #: the published law, and the industrial cascade on the same machine
 LOOPS = ("dfcmac-circle", "cascade-circle")
 #: units that the tuning of each law may spend
@@ -49,8 +50,8 @@ class Stage(NamedTuple):
     resumes: bool
 
 
-class Took(NamedTuple):
-    """What a stage was, and what it took. command: as a user would type it."""
+class StageTime(NamedTuple):
+    """A stage that has ended, and its time. command: as a user would type it."""
 
     command: str
     seconds: float
@@ -85,18 +86,25 @@ def gains_file(folder: Path, loop: str) -> Path:
 
 def configuration() -> str:
     """What a demo depends on, as text."""
-    return tomli_w.dumps({
-        "jaxstage": __version__, "jax": jax.__version__, "loops": list(LOOPS), "budget": BUDGET,
-        "plants": PLANTS, "seed": SEED, "metric": METRIC, "words": list(WORDS),
-    })  # fmt: skip
+    table = {
+        "jaxstage": __version__,
+        "jax": jax.__version__,
+        "loops": list(LOOPS),
+        "budget": BUDGET,
+        "plants": PLANTS,
+        "seed": SEED,
+        "metric": METRIC,
+        "words": list(WORDS),
+    }
+    return tomli_w.dumps(table)
 
 
-def ended(folder: Path) -> dict[str, Took]:
+def ended(folder: Path) -> dict[str, StageTime]:
     """The stages that have ended, by name."""
     file = folder / "stages.json"
     if not file.is_file():
         return {}
-    return {k: Took(**v) for k, v in json.loads(file.read_text(encoding="utf-8")).items()}
+    return {k: StageTime(**v) for k, v in json.loads(file.read_text(encoding="utf-8")).items()}
 
 
 def command_of(stage: Stage, folder: Path) -> list[str]:
@@ -106,7 +114,7 @@ def command_of(stage: Stage, folder: Path) -> list[str]:
     return [*stage.words, "--out", str(out), *resume]
 
 
-def run_stage(stage: Stage, folder: Path, call: Callable[[Sequence[str]], object]) -> Took:
+def run_stage(stage: Stage, folder: Path, call: Callable[[Sequence[str]], object]) -> StageTime:
     """Run the command of a stage, keep what it prints and that it has ended.
 
     call: runs a command by its words, as ``jaxstage`` does; what it raises passes through.
@@ -119,8 +127,10 @@ def run_stage(stage: Stage, folder: Path, call: Callable[[Sequence[str]], object
         call(words)
         print()
     shown = shown.removesuffix(" --resume")
-    took = Took(shown, time.perf_counter() - begun, time.process_time() - spent)
-    every = ended(folder) | {stage.name: took}
-    text = json.dumps({name: one._asdict() for name, one in every.items()}, indent=2)
-    write_text(folder / "stages.json", text + "\n")
-    return took
+    seconds, processor = time.perf_counter() - begun, time.process_time() - spent
+    stage_time = StageTime(shown, seconds, processor)
+    every = ended(folder) | {stage.name: stage_time}
+    write_text(
+        folder / "stages.json", json_text({name: one._asdict() for name, one in every.items()})
+    )
+    return stage_time

@@ -1,65 +1,88 @@
 """The report of a comparison with a paper: the folder that ``jaxstage compare --out`` leaves."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from jaxstage.studies import known_studies
 from jaxstage.studies.plots import ChartPlot
-from tuning.app.reports import single
-from tuning.app.reports.page import Page, Table, number, pictures
+from tuning.app.reports import run
+from tuning.app.reports.page import Page, pictures
+from tuning.app.result_table import DASH, Column, ResultTable, Row, metric_table, numeric
+from tuning.store.gains_file import refused_text
 
 #: verdict -> title of its table, in this order
-TITLES = {"fails": "Claims that fail", "holds": "Claims that hold",
-          "unchecked": "Claims that cannot be checked"}  # fmt: skip
+TITLES = {
+    "fails": "Claims that fail",
+    "holds": "Claims that hold",
+    "unchecked": "Claims that cannot be checked",
+}
 
 
 def read(folder: Path) -> Page:
     """The page of a folder with ``compare.json``."""
-    found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
-    counts, changed = found["counts"], found["changed"]
-    told = (
-        f"Not as stored with the study: {', '.join(changed)}." if changed
-        else "Every verdict is the one that is stored with the study."
-    )  # fmt: skip
+    answer = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    counts, changed = answer["counts"], answer["changed"]
+    every = "Every verdict is the one that is stored with the study."
     return Page(
-        title=found["study"],
-        subtitle=found["source"],
+        title=answer["study"],
+        subtitle=answer["source"],
         good=None,
         verdict=(
             f"{counts['holds']} claims of the paper hold, {counts['fails']} fail, "
             f"{counts['unchecked']} cannot be checked by simulation.",
-            told,
+            f"Not as stored with the study: {', '.join(changed)}." if changed else every,
         ),
         facts={},
         tables=(),
-        details=tuple(_table(found["claims"], verdict) for verdict in TITLES),
-        pictures=pictures(folder, _texts(found["study"])),
+        details=tuple(_of_verdict(answer["claims"], verdict) for verdict in TITLES),
+        pictures=pictures(folder, _texts(answer["study"])),
         files={},
-        settings={"versions": f"jaxstage {found['version']}, jax {found['jax']}",
-                  "precision": "double"},
-    )  # fmt: skip
-
-
-def _table(claims: list[Mapping[str, Any]], verdict: str) -> Table:
-    rows = tuple(
-        (c["where"], c["text"], number(c["published"]), number(c["ours"]), c["unit"],
-         _difference(c["difference"]), c["reason"])
-        for c in claims
-        if c["verdict"] == verdict
-    )  # fmt: skip
-    return Table(
-        title=f"{TITLES[verdict]}: {len(rows)}",
-        head=("where", "claim", "published", "ours", "unit", "difference", "reason"),
-        rows=rows,
-        note="A dash: only words are printed, or there is nothing to compute.",
-        numeric=(2, 3, 5),
+        settings={
+            "versions": f"jaxstage {answer['version']}, jax {answer['jax']}",
+            "precision": "double",
+        },
     )
 
 
+def claims(rows: Sequence[Row]) -> ResultTable:
+    """Claims of a ``compare.json``: both values, their difference, the verdict and its reason."""
+    return ResultTable(
+        (
+            Column("where", "where", wrap=2),
+            Column("text", "claim", wrap=5),
+            numeric("published", "published"),
+            numeric("ours", "ours"),
+            Column("unit", "unit"),
+            numeric("difference", "difference", _difference),
+            Column(
+                "verdict",
+                "verdict",
+                styles={"holds": "green", "fails": "red", "unchecked": "dim"},
+            ),
+            Column("reason", "reason", wrap=5),
+        ),
+        rows,
+        note="A dash: only words are printed, or there is nothing to compute.",
+    )
+
+
+def gains(one: Row) -> ResultTable:
+    """Metrics of a loop under the gains of its study and of a file."""
+    values = {"study": one["study"], "given": one["given"]}
+    refused = f" ({refused_text(one['refused'])})" if one["refused"] else ""
+    return metric_table(values, title=f"{one['loop']}, {one['file']}{refused}")
+
+
+def _of_verdict(rows: Sequence[Row], verdict: str) -> ResultTable:
+    chosen = [row for row in rows if row["verdict"] == verdict]
+    return claims(chosen)._replace(title=f"{TITLES[verdict]}: {len(chosen)}")
+
+
 def _difference(share: float | None) -> str:
-    return "–" if share is None else f"{100 * share:+.3g} %"
+    if share is None:
+        return DASH
+    return f"{share:+.1%}" if abs(share) < 10 else f"{share:+.2g}".replace("e+0", "e") + " x"
 
 
 def _texts(name: str) -> dict[str, str]:
@@ -74,5 +97,5 @@ def _texts(name: str) -> dict[str, str]:
                 texts[plot.name] = f"{plot.title}. {plot.text}"
             else:
                 for view in plot.views:
-                    texts[f"{plot.name}-{view}"] = f"{plot.text}. {single.TEXTS[view]}"
+                    texts[f"{plot.name}-{view}"] = f"{plot.text}. {run.TEXTS[view]}"
     return texts

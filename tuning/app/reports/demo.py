@@ -1,15 +1,22 @@
 """The report of a demo: the folder that ``jaxstage demo`` leaves."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from jaxstage.metrics.table import split_key
-from tuning.app.reports import single, tuned
-from tuning.app.reports.page import Page, Table, answers, interval, number, pictures
-
-Found = Mapping[str, Any]
+from tuning.app.reports import run, tuning
+from tuning.app.reports.page import Page, pictures, read_answers
+from tuning.app.result_table import (
+    Column,
+    ResultTable,
+    Row,
+    heading,
+    interval,
+    numeric,
+    words,
+)
 
 #: figures of the machine as it is assumed to be
 NOMINAL = ("contour_rms_um", "contour_max_um", "energy_J")
@@ -17,37 +24,37 @@ NOMINAL = ("contour_rms_um", "contour_max_um", "energy_J")
 
 def read(folder: Path) -> Page:
     """The page of a folder with ``demo.toml``. Raises ValueError for a demo that was stopped."""
-    found = answers(folder, "demo.json", "demo", f"`jaxstage demo --out {folder}`")
-    names = [loop["loop"] for loop in found["loops"]]
-    better = [_better(loop) for loop in found["loops"]]
+    answer = read_answers(folder, "demo.json", "demo", f"`jaxstage demo --out {folder}`")
+    names = [loop["loop"] for loop in answer["loops"]]
+    better = [_better(loop) for loop in answer["loops"]]
     return Page(
         title=f"{' and '.join(names)}, before and after tuning",
         subtitle="Two control laws on one machine: simulated at the published gains, tuned by "
         "gradients, tested on plants that no search has seen.",
         good=any(better) if len(set(better)) == 1 else None,
-        verdict=tuple(found["verdict"]),
+        verdict=tuple(answer["verdict"]),
         facts={
-            "plants": f"{found['plants']} machines drawn within the spreads of the study, the same "
-            "for both laws and both gains",
-            "judged by": " ".join(split_key(found["metric"])),
+            "plants": f"{answer['plants']} machines drawn within the spreads of the study, the "
+            "same for both laws and both gains",
+            "judged by": " ".join(split_key(answer["metric"])),
         },
         notes=(
             "Each law assumes the nominal machine, friction and load included, and meets machines "
             "that are off: where it lives on feed-forward, that is what it has to cope with.",
         ),
-        tables=(_answers(folder, found),),
-        details=tuple(_details(folder, found)),
-        pictures=pictures(folder, _texts(found)),
+        tables=(_answers(folder, answer),),
+        details=tuple(_details(folder, answer)),
+        pictures=pictures(folder, _texts(answer)),
         files={
             f"{loop['loop']} {Path(loop['gains']).name}": _text(folder / loop["gains"])
-            for loop in found["loops"]
+            for loop in answer["loops"]
         },
         settings={
-            "plants": f"{found['plants']}, seed {found['seed']}",
+            "plants": f"{answer['plants']}, seed {answer['seed']}",
             "precision": "double",
-            "configuration": found["configuration_sha256"],
-            "time": f"{found['seconds']:.0f} s, {found['processor_seconds']:.0f} s of a core",
-            "versions": f"jaxstage {found['version']}, jax {found['jax']}",
+            "configuration": answer["configuration_sha256"],
+            "time": f"{answer['seconds']:.0f} s, {answer['processor_seconds']:.0f} s of a core",
+            "versions": f"jaxstage {answer['version']}, jax {answer['jax']}",
         },
     )
 
@@ -60,69 +67,69 @@ def _read(file: Path) -> Any:
     return json.loads(_text(file))
 
 
-def _better(loop: Found) -> bool:
+def _better(loop: Row) -> bool:
     """Accepted, and shown to be better on the plants with none lost."""
     plants = loop["plants"]
-    return (
-        loop["accepted"] and not plants["lost"] and plants["change"] is not None
-        and plants["change"]["high"] < 0
-    )  # fmt: skip
+    change = plants["change"]
+    return loop["accepted"] and not plants["lost"] and change is not None and change["high"] < 0
 
 
-def _answers(folder: Path, found: Found) -> Table:
-    name, unit = split_key(found["metric"])
+def _answers(folder: Path, answer: Row) -> ResultTable:
+    metric = heading(answer["metric"])
     rows = []
-    for number_, loop in enumerate(found["loops"]):
+    for number_, loop in enumerate(answer["loops"]):
         for gains, when in (("published", "before"), ("tuned", "after")):
             swept = _read(folder / gains / "summary.json")["loops"][number_]
-            stated = swept["statistics"] or {}
-            rows.append((
-                loop["loop"], gains, *(number(loop[when].get(key)) for key in NOMINAL),
-                *(interval(stated.get(key)) for key in ("mean", "p95")), str(swept["lost"]),
-            ))  # fmt: skip
-    heads = (f"{' '.join(split_key(key))}, nominal" for key in NOMINAL)
-    return Table(
-        title="Before and after",
-        head=("law", "gains", *heads, f"{name} {unit}, mean of the plants", "95 % stay below",
-              "lost"),
-        rows=tuple(rows),
-        note="In brackets 95 % intervals by bootstrap. A dash: too few plants to state it.",
-        numeric=(2, 3, 4, 7),
-    )  # fmt: skip
-
-
-def _details(folder: Path, found: Found) -> Iterator[Table]:
-    for loop in (one["loop"] for one in found["loops"]):
-        table = tuned.gains(_read(folder / "tune" / loop / "tune.json"))
-        yield table._replace(title=f"Gains of {loop}")
-    yield Table(
-        title="What was run",
-        head=("command", "s", "s of a core"),
-        rows=tuple(
-            (one["command"], f"{one['seconds']:.1f}", f"{one['processor_seconds']:.1f}")
-            for one in found["stages"]
+            nominal = {key: loop[when].get(key) for key in NOMINAL}
+            row = {"loop": loop["loop"], "gains": gains, "lost": swept["lost"]}
+            rows.append(row | nominal | (swept["statistics"] or {}))
+    return ResultTable(
+        (
+            Column("loop", "law"),
+            Column("gains", "gains"),
+            *(numeric(key, f"{heading(key)}, nominal") for key in NOMINAL),
+            Column("mean", f"{metric}, mean of the plants", interval),
+            Column("p95", "95 % stay below", interval),
+            numeric("lost", "lost", words),
         ),
-        note="`jaxstage report` makes a report of each of these folders, too.",
-        numeric=(1, 2),
+        rows,
+        title="Before and after",
+        note="In brackets 95 % intervals by bootstrap. A dash: too few plants to state it.",
     )
 
 
-def _texts(found: Found) -> dict[str, str]:
+def _details(folder: Path, answer: Row) -> Iterator[ResultTable]:
+    for loop in (one["loop"] for one in answer["loops"]):
+        table = tuning.gains(_read(folder / "tune" / loop / "tune.json"))
+        yield table._replace(title=f"Gains of {loop}")
+    yield ResultTable(
+        (
+            Column("command", "command"),
+            numeric("seconds", "s"),
+            numeric("processor_seconds", "s of a core"),
+        ),
+        answer["stages"],
+        title="What was run",
+        note="jaxstage report makes a report of each of these folders, too.",
+    )
+
+
+def _texts(answer: Row) -> dict[str, str]:
     """Picture -> how to read it."""
-    names = [loop["loop"] for loop in found["loops"]]
-    texts = {f"run/{n}/contour": f"{n}, published gains. {single.TEXTS['contour']}" for n in names}
-    texts |= {f"tune/{n}/error": f"{n}. {tuned.TEXTS['error']}" for n in names}
+    names = [loop["loop"] for loop in answer["loops"]]
+    texts = {f"run/{n}/contour": f"{n}, published gains. {run.TEXTS['contour']}" for n in names}
+    texts |= {f"tune/{n}/error": f"{n}. {tuning.TEXTS['error']}" for n in names}
     texts["plants"] = (
         "How the figure is distributed over the plants: the further left a curve rises, the "
         "better; a steep one says that the law does not care which machine it gets."
     )
     for when in ("published", "tuned"):
-        pair = found["comparisons"][when]
+        pair = answer["comparisons"][when]
         if pair:
             texts[f"{when}/{pair['first']}-against-{pair['second']}"] = (
                 f"Each dot is one plant at {when} gains: below the diagonal {pair['second']} has "
                 "the smaller figure."
             )
     for picture in ("history", "parameters"):
-        texts |= {f"tune/{n}/{picture}": f"{n}. {tuned.TEXTS[picture]}" for n in names}
+        texts |= {f"tune/{n}/{picture}": f"{n}. {tuning.TEXTS[picture]}" for n in names}
     return texts

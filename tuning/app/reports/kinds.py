@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxstage.system.files import write_text
-from tuning.app.reports import comparison, demo, single, sweep, tuned
+from tuning.app.reports import comparison, demo, run, sweep, tuning
 from tuning.app.reports.page import Page, html
 
 
-class Kind(NamedTuple):
+class ReportKind(NamedTuple):
     """What a folder may hold. marker: the file by which it is known."""
 
     name: str
@@ -21,16 +21,20 @@ class Kind(NamedTuple):
 
 #: what reading a file of another version, or a spoilt one, may raise
 _SPOILT = (
-    KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    UnicodeDecodeError,
+    json.JSONDecodeError,
     tomllib.TOMLDecodeError,
-)  # fmt: skip
+)
 
 KINDS = (
-    Kind("run", "run.json", single.read),
-    Kind("comparison", "compare.json", comparison.read),
-    Kind("sweep", "sweep.toml", sweep.read),
-    Kind("tuning", "tune.toml", tuned.read),
-    Kind("demo", "demo.toml", demo.read),
+    ReportKind("run", "run.json", run.read),
+    ReportKind("comparison", "compare.json", comparison.read),
+    ReportKind("sweep", "sweep.toml", sweep.read),
+    ReportKind("tuning", "tune.toml", tuning.read),
+    ReportKind("demo", "demo.toml", demo.read),
 )
 
 

@@ -10,16 +10,7 @@ from typing import Any, NamedTuple
 import jinja2
 
 from jaxstage import __version__
-
-
-class Table(NamedTuple):
-    """A table. note: one sentence on how to read it; numeric: columns that are aligned right."""
-
-    title: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
-    numeric: tuple[int, ...] = ()
+from tuning.app.result_table import ResultTable
 
 
 class Picture(NamedTuple):
@@ -44,11 +35,11 @@ class Page(NamedTuple):
     good: bool | None
     verdict: tuple[str, ...]
     facts: Mapping[str, str]
-    tables: tuple[Table, ...]
+    tables: tuple[ResultTable, ...]
     pictures: tuple[Picture, ...]
     files: Mapping[str, str]
     settings: Mapping[str, str]
-    details: tuple[Table, ...] = ()
+    details: tuple[ResultTable, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -61,7 +52,7 @@ def html(page: Page) -> str:
     return environment.from_string(template).render(page=page, version=__version__)
 
 
-def answers(folder: Path, name: str, noun: str, goes_on: str) -> dict[str, Any]:
+def read_answers(folder: Path, name: str, noun: str, goes_on: str) -> dict[str, Any]:
     """The JSON file that long work ends with. Raises ValueError for work that was stopped.
 
     goes_on: the command that finishes it.
@@ -75,17 +66,3 @@ def pictures(folder: Path, texts: Mapping[str, str]) -> tuple[Picture, ...]:
     """The pictures of a folder that are known by name, in the order of their texts."""
     files = ((folder / f"{name}.png", text) for name, text in texts.items())
     return tuple(Picture(file, text) for file, text in files if file.is_file())
-
-
-def number(value: float | None) -> str:
-    """A number as text, a dash where there is none."""
-    if value is None:
-        return "–"
-    return f"{value:.4g}"
-
-
-def interval(stated: Mapping[str, Any] | None) -> str:
-    """An estimate with its interval, a dash where there is none."""
-    if not stated:
-        return "–"
-    return f"{number(stated['value'])} ({number(stated['low'])} to {number(stated['high'])})"

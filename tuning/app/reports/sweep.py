@@ -1,57 +1,75 @@
 """The report of a Monte-Carlo sweep: the folder that ``jaxstage sweep --out`` leaves."""
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from jaxstage.metrics.table import split_key
 from jaxstage.model.settings import plain_toml
-from tuning.app.reports.page import Page, Table, answers, interval, number, pictures
+from tuning.app.reports.page import Page, pictures, read_answers
+from tuning.app.result_table import (
+    DASH,
+    Column,
+    ResultTable,
+    Row,
+    ends,
+    heading,
+    interval,
+    number,
+    numeric,
+    share,
+    words,
+)
 from tuning.store.gains_file import LAW
 
-Found = Mapping[str, Any]
+#: what is stated of the runs that were not lost, by its key
+STATISTICS = {"mean": "mean", "P50": "p50", "P95": "p95", "mean of the worst 5 %": "cvar95"}
 
 
 def read(folder: Path) -> Page:
     """The page of a folder with ``sweep.toml``. Raises ValueError for a sweep that was stopped."""
     goes_on = f"`jaxstage sweep --out {folder} --resume`"
-    found = answers(folder, "summary.json", "sweep", goes_on)
+    summary = read_answers(folder, "summary.json", "sweep", goes_on)
     table = tomllib.loads((folder / "sweep.toml").read_text(encoding="utf-8"))
     return Page(
-        title=f"{', '.join(loop['loop'] for loop in found['loops'])}: {found['runs']} plants",
+        title=f"{', '.join(loop['loop'] for loop in summary['loops'])}: {summary['runs']} plants",
         subtitle="A Monte-Carlo sweep: the same plants, drawn from the spreads below, under each "
         "loop.",
-        good=_good(found),
-        verdict=tuple(_verdict(found)),
-        facts={"specification": found["specification"] or "none",
-               "judged by": " ".join(split_key(found["metric"])).strip()},
-        notes=tuple(found["notes"]),
-        tables=tuple(_answers(found)),
-        details=tuple(_details(found, table)),
-        pictures=pictures(folder, _texts(found)),
+        good=_good(summary),
+        verdict=tuple(_verdict(summary)),
+        facts={
+            "specification": summary["specification"] or "none",
+            "judged by": heading(summary["metric"]),
+        },
+        notes=tuple(summary["notes"]),
+        tables=(answers(summary), *_comparisons(summary, split_key(summary["metric"])[1])),
+        details=tuple(_details(summary, table)),
+        pictures=pictures(folder, _texts(summary)),
         files=dict(_gains(table)),
         settings={
-            "design": found["design"], "seed": str(found["seed"]),
-            "precision": found["precision"], "configuration": found["configuration_sha256"],
-            "versions": f"jaxstage {found['version']}, jax {table['jax']}",
+            "design": summary["design"],
+            "seed": str(summary["seed"]),
+            "precision": summary["precision"],
+            "configuration": summary["configuration_sha256"],
+            "versions": f"jaxstage {summary['version']}, jax {table['jax']}",
         },
-    )  # fmt: skip
+    )
 
 
-def _good(found: Found) -> bool | None:
+def _good(summary: Row) -> bool | None:
     """Only a claimed yield makes a verdict good or bad."""
-    claims = [loop["claim"]["verdict"] for loop in found["loops"] if loop["claim"]]
+    claims = [loop["claim"]["verdict"] for loop in summary["loops"] if loop["claim"]]
     if not claims or any(verdict not in ("shown", "refuted") for verdict in claims):
         return None
     return all(verdict == "shown" for verdict in claims)
 
 
-def _verdict(found: Found) -> Iterator[str]:
-    name, unit = split_key(found["metric"])
-    for loop in found["loops"]:
+def _verdict(summary: Row) -> Iterator[str]:
+    name, unit = split_key(summary["metric"])
+    for loop in summary["loops"]:
         met, stated, lost = loop["yield"], loop["statistics"], loop["lost"]
-        parts = [f"{_percent(met)} of {met['of']:g} plants meet the specification"] if met else []
+        parts = [f"{share(met)} of {met['of']:g} plants meet the specification"] if met else []
         if loop["claim"]:
             claim = loop["claim"]
             parts.append(f"at least {100 * claim['target']:g} %: {claim['verdict']}")
@@ -61,78 +79,101 @@ def _verdict(found: Found) -> Iterator[str]:
         yield f"{loop['loop']}: {'; '.join(parts) or 'too few runs to state anything'}."
 
 
-def _answers(found: Found) -> Iterator[Table]:
-    name, unit = split_key(found["metric"])
-    figures = {"mean": "mean", "p50": "P50", "p95": "P95", "cvar95": "mean of the worst 5 %"}
-    yield Table(
+def answers(summary: Row) -> ResultTable:
+    """What a ``summary.json`` says of every loop: a row each for value and confidence interval."""
+    columns = (Column("loop", "loop"), Column("name", ""), numeric("value", "value", words))
+    rows = [row for loop in summary["loops"] for row in _of_loop(loop, heading(summary["metric"]))]
+    return ResultTable(
+        (*columns, Column("interval", "95 %")),
+        rows,
         title="Answers",
-        head=("loop", "lost", "yield (95 %)", *(f"{t}, {unit}" for t in figures.values())),
-        rows=tuple(
-            (loop["loop"], str(loop["lost"]), _percent(loop["yield"]),
-             *(_stated(loop, key) for key in figures))
-            for loop in found["loops"]
-        ),
-        note=f"Of the {name}. In brackets the 95 % interval: of a yield the exact one, of the rest "
-        "by bootstrap.",
-        numeric=(1,),
-    )  # fmt: skip
-    if found["comparisons"]:
-        yield Table(
-            title="One law against another, on the same plants",
-            head=("first", "second", "plants", f"first - second, {unit}", "first is smaller"),
-            rows=tuple(
-                (c["first"], c["second"], str(c["plants"]), interval(c["difference"]),
-                 _percent(c["better"]))
-                for c in found["comparisons"]
-            ),
-            numeric=(2,),
-        )  # fmt: skip
+        note="95 % confidence intervals: of a yield the exact one, of the rest by bootstrap.",
+    )
 
 
-def _stated(loop: Found, key: str) -> str:
-    """A statistic with its interval, or why there is none."""
-    found = (loop["statistics"] or {}).get(key)
-    return interval(found) if found else loop["reasons"].get(key, "–")
+def _of_loop(loop: Row, metric: str) -> Iterator[dict[str, str]]:
+    """Name, value and interval (or why there is none) of all that is said of a loop."""
+    met, claim = loop["yield"], loop["claim"]
+    lines = [("lost", str(loop["lost"]), "")]
+    if met:
+        lines.append(("yield", f"{met['value']:.2%}", f"{met['low']:.2%} to {met['high']:.2%}"))
+    elif loop["passed"] is not None:
+        lines.append(("meet the specification", str(loop["passed"]), ""))
+    if claim:
+        needed = f": about {claim['needed']} runs would decide it" if claim["needed"] else ""
+        lines.append((f"yield >= {claim['target']:.4g}", "", claim["verdict"] + needed))
+    for name, key in STATISTICS.items() if loop["statistics"] else ():
+        estimate, lost = loop["statistics"][key], " (not lost)" * (key == "mean" and loop["lost"])
+        value = number(estimate["value"]) if estimate else DASH
+        told = ends(estimate) if estimate else loop["reasons"].get(key, DASH)
+        lines.append((f"{metric} {name}{lost}", value, told))
+    for i, (name, value, told) in enumerate(lines):
+        yield {"loop": "" if i else loop["loop"], "name": name, "value": value, "interval": told}
 
 
-def _details(found: Found, table: Found) -> Iterator[Table]:
-    name, unit = split_key(found["metric"])
-    yield Table(
-        title="What matters", head=("uncertain value", *(x["loop"] for x in found["loops"])),
-        rows=tuple(
-            (column, *(number(x["rank_correlation"].get(column)) for x in found["loops"]))
-            for column in found["loops"][0]["rank_correlation"]
+def _comparisons(summary: Row, unit: str) -> Iterator[ResultTable]:
+    if summary["comparisons"]:
+        columns = (
+            Column("first", "first"),
+            Column("second", "second"),
+            numeric("plants", "plants", words),
+            Column("difference", f"first - second, {unit}", interval),
+            Column("better", "first is smaller", share),
+        )
+        title = "One law against another, on the same plants"
+        yield ResultTable(columns, summary["comparisons"], title)
+
+
+def _details(summary: Row, table: Row) -> Iterator[ResultTable]:
+    name, unit = split_key(summary["metric"])
+    loops = [loop["loop"] for loop in summary["loops"]]
+    rhos = {loop["loop"]: loop["rank_correlation"] for loop in summary["loops"]}
+    yield ResultTable(
+        (Column("value", "uncertain value"), *(numeric(loop, loop) for loop in loops)),
+        [
+            {"value": column, **{loop: rhos[loop].get(column) for loop in loops}}
+            for column in rhos[loops[0]]
+        ],
+        title="What matters",
+        note=f"Spearman's rank correlation with {name}: 1 or -1 decides it, 0 does not matter.",
+    )
+    yield ResultTable(
+        (
+            Column("loop", "loop"),
+            numeric("run", "run", words),
+            numeric("value", f"{name}, {unit}"),
+            numeric("lost_at_s", "lost at, s"),
         ),
-        note="Spearman's rank correlation with the figure: 1 or -1 decides it, 0 does not matter.",
-        numeric=tuple(range(1, 1 + len(found["loops"]))),
-    )  # fmt: skip
-    yield Table(
-        title="The worst plants", head=("loop", "run", f"{name}, {unit}", "lost at, s"),
-        rows=tuple(
-            (w["loop"], str(w["run"]), number(w["value"]), number(w["lost_at_s"]))
-            for w in found["worst"]
+        summary["worst"],
+        title="The worst plants",
+        note="jaxstage replay DIR --run ID --out FOLDER simulates and draws one of them again.",
+    )
+    yield ResultTable(
+        (
+            Column("path", "value"),
+            Column("distribution", "distribution"),
+            Column("numbers", "numbers"),
         ),
-        note="`jaxstage replay DIR --run ID --out FOLDER` simulates and draws one of them again.",
-        numeric=(1, 2, 3),
-    )  # fmt: skip
-    yield Table(
-        title="What was uncertain", head=("value", "distribution", "numbers"),
-        rows=tuple(
-            (s["path"], s["distribution"],
-             ", ".join(f"{k} = {v}" for k, v in s.items() if k not in ("path", "distribution")))
-            for s in table["spread"]
-        ),
+        [
+            {**spread, "numbers": ", ".join(f"{k} = {v}" for k, v in _numbers(spread))}
+            for spread in table["spread"]
+        ],
+        title="What was uncertain",
         note="Factors on the nominal value, unless relative = false.",
-    )  # fmt: skip
+    )
 
 
-def _texts(found: Found) -> dict[str, str]:
+def _numbers(spread: Row) -> Iterator[tuple[str, Any]]:
+    return ((k, v) for k, v in spread.items() if k not in ("path", "distribution"))
+
+
+def _texts(summary: Row) -> dict[str, str]:
     """Picture -> how to read it."""
     texts = {
         "distribution": "How the figure is distributed over the plants, with the limit of the "
         "specification: the further left a curve rises, the better the law."
     }
-    for loop in (x["loop"] for x in found["loops"]):
+    for loop in (x["loop"] for x in summary["loops"]):
         texts |= {
             f"{loop}-parameters": f"{loop}: each uncertain value against the figure; a slope says "
             "that it matters, marked plants fail.",
@@ -141,14 +182,14 @@ def _texts(found: Found) -> dict[str, str]:
             f"{loop}-tornado": f"{loop}: effect of each value to first order, beside what the "
             "sweep shows; where they differ the loop is not linear.",
         }
-    for c in found["comparisons"]:
+    for c in summary["comparisons"]:
         texts[f"{c['first']}-against-{c['second']}"] = (
             f"Each dot is one plant: below the diagonal {c['second']} has the smaller figure."
         )
     return texts
 
 
-def _gains(table: Found) -> Iterator[tuple[str, str]]:
+def _gains(table: Row) -> Iterator[tuple[str, str]]:
     """``gains.toml`` of each loop, as ``--gains`` takes it."""
     for loop in table["loop"]:
         tree: dict[str, Any] = {}
@@ -161,9 +202,3 @@ def _gains(table: Found) -> Iterator[tuple[str, str]]:
                 inner[field] = value
         if tree:
             yield f"{loop['name']} gains.toml", plain_toml({LAW: loop["law"], **tree})
-
-
-def _percent(share: Found | None) -> str:
-    if not share:
-        return "–"
-    return f"{share['value']:.2%} ({share['low']:.2%} to {share['high']:.2%})"

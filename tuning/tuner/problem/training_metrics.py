@@ -22,10 +22,10 @@ from jax import Array
 
 from jaxstage.metrics import selected, together
 from jaxstage.metrics.moments import root
-from jaxstage.metrics.table import key
+from jaxstage.metrics.table import key, reported_metrics
 from jaxstage.metrics.tracking import following_error
 from jaxstage.model.blocks import Metric, Plant
-from jaxstage.model.fields import definition, in_units_of, leaves, pytree, signal
+from jaxstage.model.fields import definition, pytree, signal
 from jaxstage.model.settings import nearest_name
 from jaxstage.model.signals import Sample, Setpoint
 from jaxstage.studies import Case
@@ -272,16 +272,10 @@ def growth(ticks: int) -> Metric:
 def _arrays(report: Any, plant: Plant) -> dict[str, Array]:
     """Metrics of a batch by column, leaves (lanes,) or (lanes, axes), in display units."""
     table = {}
-    for path, general, value in leaves(report):
-        quantity = in_units_of(general, plant.command_unit)
-        name = path.rsplit(".", 1)[-1]
-        shown = value * quantity.factor
-        if shown.ndim == 1:
-            table[key(name, quantity.shown)] = shown
-            continue
-        table[key(name, quantity.shown)] = root(jnp.mean(shown**2, axis=-1))
-        for i, axis in enumerate(plant.axes):
-            table[key(f"{name}_{axis}", quantity.shown)] = shown[:, i]
+    for metric in reported_metrics(report, plant, batch=1):
+        if metric.axes:
+            table[metric.key] = root(jnp.mean(metric.values**2, axis=-1))
+        table |= metric.columns()
     return table
 
 

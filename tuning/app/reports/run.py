@@ -2,12 +2,12 @@
 
 import json
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxstage.metrics.table import split_key
-from tuning.app.reports.page import Page, Table, number, pictures
+from tuning.app.reports.page import Page, pictures
+from tuning.app.result_table import DASH, ResultTable, decimal, metric_table
 
 #: picture -> how to read it
 TEXTS = {
@@ -49,7 +49,7 @@ def read(folder: Path) -> Page:
         },
         notes=tuple(result["notes"]),
         tables=(),
-        details=(_figures(result),) if result["finite"] else (),
+        details=(metrics(result),) if result["finite"] else (),
         pictures=pictures(folder, TEXTS),
         files=texts,
         settings=_settings(result, texts),
@@ -62,26 +62,16 @@ def _settings(result: Mapping[str, Any], texts: Mapping[str, str]) -> dict[str, 
         "loop": result["loop"],
         "control period": f"{result['dt_s'] * 1e6:g} µs",
         "precision": result["precision"],
-        "seed": str(scenario.get("seed", "–")),
+        "seed": str(scenario.get("seed", DASH)),
         "versions": f"jaxstage {result['version']}, jax {result['jax']}",
     }
 
 
-def _figures(result: Mapping[str, Any]) -> Table:
-    return Table(
+def metrics(result: Mapping[str, Any]) -> ResultTable:
+    """All metrics of a ``run.json``, of the scored window and of the whole run."""
+    return metric_table(
+        {"scored": result["metrics"], "whole run": result["metrics_whole_run"]},
+        decimal,
         title="Figures",
-        head=("figure", "scored part", "whole run", "unit"),
-        rows=tuple(_rows(result["metrics"], result["metrics_whole_run"])),
         note="The whole run includes the start transient. A dash: no such figure.",
-        numeric=(1, 2),
     )
-
-
-def _rows(scored: Mapping[str, Any], whole: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
-    for key, value in scored.items():
-        name, unit = split_key(key)
-        if not isinstance(value, Mapping):
-            yield name, number(value), number(whole[key]), unit
-            continue
-        for axis, one in value.items():
-            yield f"{name} {axis}", number(one), number(whole[key][axis]), unit

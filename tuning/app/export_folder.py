@@ -3,7 +3,7 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 
@@ -24,36 +24,51 @@ MANIFEST = "export.json"
 
 def recorded(case: Case, ticks: int = TICKS) -> Sample:
     """The first ticks of a case, up to where it is lost. Raises ValueError if that is at once."""
-    run = simulate(
-        with_metric(case, record).loop, case.gains, case.scenario, case.path,
-        min(ticks, case.window.ticks),
-    )  # fmt: skip
+    loop = with_metric(case, record).loop
+    run = simulate(loop, case.gains, case.scenario, case.path, min(ticks, case.window.ticks))
     ends = [int(at) for at in (run.final.left_path_at, run.final.non_finite_at) if int(at) >= 0]
     if 0 in ends:
         raise ValueError(f"{case.name} is lost at its first tick: nothing to check the C text with")
     return jax.tree.map(lambda row: row[: min(ends)], run.rows) if ends else run.rows
 
 
-def export(case: Case, out: Path, single: bool, axis: str | None, prefix: str) -> dict[str, Any]:
-    """Write the controller of a case as C99 into a folder. Returns what the manifest says.
+class CForm(NamedTuple):
+    """How the C text is written. single: in float; axis: only this one; prefix: of every name."""
 
-    Raises ValueError for what `c_files` refuses and for a folder that is not ours.
+    single: bool
+    axis: str | None
+    prefix: str
+
+
+def export(case: Case, out: Path, form: CForm) -> dict[str, Any]:
+    """Write the controller of a case as C99 into a folder.
+
+    Returns:
+        What the manifest says.
+
+    Raises:
+        ValueError: for what `c_files` refuses and for a folder that is not ours.
     """
-    check_names(case.loop, axis, prefix)
+    check_names(case.loop, form.axis, form.prefix)
     rows = recorded(case)
     files = c_files(
-        case.name, case.loop, case.gains, case.scenario, rows, __version__,
-        single=single, axis=axis, prefix=prefix,
-    )  # fmt: skip
+        case.name,
+        case.loop,
+        case.gains,
+        case.scenario,
+        rows,
+        __version__,
+        **form._asdict(),
+    )
     manifest = {
         "loop": case.name,
         "law": case.loop.controller.name,
         "version": __version__,
         "language": "C99",
-        "precision": "single" if single else "double",
-        "axes": [axis] if axis else list(case.loop.plant.axes),
+        "precision": "single" if form.single else "double",
+        "axes": [form.axis] if form.axis else list(case.loop.plant.axes),
         "period_s": case.loop.dt,
-        "prefix": prefix,
+        "prefix": form.prefix,
         "ticks": len(rows.demand),
         "files": {name: _checksum(text.encode()) for name, text in files.items()},
     }

@@ -3,12 +3,19 @@
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from jaxstage.metrics.table import split_key
-from tuning.app.reports.page import Page, Table, answers, interval, number, pictures
-
-Found = Mapping[str, Any]
+from tuning.app.reports.page import Page, pictures, read_answers
+from tuning.app.result_table import (
+    DASH,
+    Column,
+    ResultTable,
+    Row,
+    heading,
+    interval,
+    number,
+    numeric,
+)
 
 #: what a tuning leaves to take away, as far as it is there
 FILES = ("gains.toml", "refused-gains.toml", "rules.txt")
@@ -31,39 +38,39 @@ TEXTS = {
 def read(folder: Path) -> Page:
     """The page of a folder with ``tune.toml``. Raises ValueError for a tuning that was stopped."""
     goes_on = "the same `jaxstage tune` with --resume"
-    found = answers(folder, "tune.json", "tuning", goes_on)
+    answer = read_answers(folder, "tune.json", "tuning", goes_on)
     table = tomllib.loads((folder / "tune.toml").read_text(encoding="utf-8"))
     return Page(
-        title=f"{found['loop']}: tuned gains",
-        subtitle=f"{found['n']} numbers, searched by {found['method']}, then tested on the exact "
+        title=f"{answer['loop']}: tuned gains",
+        subtitle=f"{answer['n']} numbers, searched by {answer['method']}, then tested on the exact "
         "model and on plants that the search never saw.",
-        good=found["accepted"],
-        verdict=tuple(_verdict(found)),
+        good=answer["accepted"],
+        verdict=tuple(verdict(answer)),
         facts={
-            "objective": f"{found['objective']}, {table['risk']} over the training runs",
+            "objective": f"{answer['objective']}, {table['risk']} over the training runs",
             "goals": ", ".join(table["goal"]) or "none",
-            "held out": f"{found['held_out']['runs']} runs, judged by "
-            f"{split_key(found['held_out']['figure'])[0]}",
+            "held out": f"{answer['held_out']['runs']} runs, judged by "
+            f"{split_key(answer['held_out']['figure'])[0]}",
         },
-        notes=tuple(found["diagnostics"]["notes"]),
-        tables=(gains(found), _figures(found)),
-        details=tuple(_details(found)),
+        notes=tuple(answer["diagnostics"]["notes"]),
+        tables=(gains(answer), metrics(answer)),
+        details=tuple(_details(answer)),
         pictures=pictures(folder, TEXTS | _rules(folder)),
         files=_take_away(folder),
-        settings=_settings(found, table),
+        settings=_settings(answer, table),
     )
 
 
-def _verdict(found: Found) -> Iterator[str]:
-    """Accepted or not, and why; then what the held-out runs say. found: a ``tune.json``."""
-    told = "; ".join(found["refused"])
+def verdict(answer: Row) -> Iterator[str]:
+    """Accepted or not, and why; then what the held-out runs say. answer: a ``tune.json``."""
+    told = "; ".join(answer["refused"])
     yield f"NOT accepted: {told}." if told else "Accepted: the gains passed every test."
     if told:
-        yield f"What to try next: {'; '.join(found['try_next'])}."
-    yield held_out(found["held_out"])
+        yield f"What to try next: {'; '.join(answer['try_next'])}."
+    yield held_out(answer["held_out"])
 
 
-def held_out(stated: Found) -> str:
+def held_out(stated: Row) -> str:
     """A figure of runs that the search never saw, before and after, in one sentence."""
     name, unit = split_key(stated["figure"])
     change = stated["change"]
@@ -77,19 +84,29 @@ def held_out(stated: Found) -> str:
     )
 
 
-def gains(found: Found) -> Table:
-    """Every number that was tuned. found: a ``tune.json``."""
-    return Table(
-        title="Gains",
-        head=("gain", "symbol", "value", "unit", "range", "before", ""),
-        rows=tuple(
-            (label.removeprefix("gains."), one["symbol"], number(one["value"]), one["unit"],
-             f"{number(one['low'])} … {number(one['high'])}", number(one["before"]),
-             "on its border" if one["at_bound"] else "")
-            for label, one in found["gains"].items()
+def gains(answer: Row) -> ResultTable:
+    """Every number that was tuned."""
+    return ResultTable(
+        (
+            Column("gain", "gain"),
+            Column("symbol", "symbol"),
+            numeric("value", "value"),
+            Column("unit", "unit"),
+            numeric("range", "range", str),
+            numeric("before", "before"),
+            Column("border", ""),
         ),
-        numeric=(2, 4, 5),
-    )  # fmt: skip
+        [
+            {
+                **gain,
+                "gain": label.removeprefix("gains."),
+                "range": f"{number(gain['low'])} … {number(gain['high'])}",
+                "border": "on its border" if gain["at_bound"] else "",
+            }
+            for label, gain in answer["gains"].items()
+        ],
+        title="Gains",
+    )
 
 
 def _take_away(folder: Path) -> dict[str, str]:
@@ -99,62 +116,70 @@ def _take_away(folder: Path) -> dict[str, str]:
 
 
 def _signed(share: float | None) -> str:
-    return "–" if share is None else f"{100 * share:+.1f} %"
+    return DASH if share is None else f"{100 * share:+.1f} %"
 
 
-def _figures(found: Found) -> Table:
-    return Table(
+def metrics(answer: Row, named: tuple[str, ...] = ("",)) -> ResultTable:
+    """Metrics of the loop itself, and means over the held-out runs. named: how the keys begin."""
+    heads = ("loop before", "loop after", "held out before", "held out after")
+    before, after = (answer[when]["figures"] for when in ("before", "after"))
+    held = answer["held_out"]["figures"]
+    rows = []
+    for key, first in before.items():
+        name, unit = split_key(key)
+        for axis, value in first.items() if isinstance(first, Mapping) else (("", first),):
+            second = after[key][axis] if axis else after[key]
+            other = held.get(_column(key, axis, held), {"before": None, "after": None})
+            values = zip(heads, (value, second, other["before"], other["after"]), strict=True)
+            rows.append({"metric": f"{name} {axis}".strip(), "unit": unit, **dict(values)})
+    return ResultTable(
+        (
+            Column("metric", "figure"),
+            *(numeric(head, head) for head in heads),
+            Column("unit", "unit"),
+        ),
+        [row for row in rows if row["metric"].startswith(named)],
         title="Figures",
-        head=("figure", "loop before", "loop after", "held out before", "held out after", "unit"),
-        rows=tuple(_figure_rows(found)),
         note="Of the loop itself, and means over the held-out runs that neither gains lost. A "
         "dash: no such figure.",
-        numeric=(1, 2, 3, 4),
     )
 
 
-def _figure_rows(found: Found) -> Iterator[tuple[str, ...]]:
-    before, after = (found[when]["figures"] for when in ("before", "after"))
-    held = found["held_out"]["figures"]
-    for key, first in before.items():
-        name, unit = split_key(key)
-        parts = first if isinstance(first, Mapping) else {"": first}
-        for axis, value in parts.items():
-            second = after[key][axis] if axis else after[key]
-            other = held.get(_column(key, axis, held), {"before": None, "after": None})
-            numbers = (value, second, other["before"], other["after"])
-            yield f"{name} {axis}".strip(), *map(number, numbers), unit
-
-
-def _column(key: str, axis: str, columns: Found) -> str:
+def _column(key: str, axis: str, columns: Row) -> str:
     """The column of an axis: ``following_rms_um`` of x is ``following_rms_x_um``."""
     return next((c for c in columns if axis and c.replace(f"_{axis}", "", 1) == key), key)
 
 
-def _details(found: Found) -> Iterator[Table]:
-    yield Table(
+def _details(answer: Row) -> Iterator[ResultTable]:
+    yield diagnostics(answer)
+    yield from baselines(answer)
+    yield from trade_offs(answer)
+
+
+def diagnostics(answer: Row) -> ResultTable:
+    """What the result rests on."""
+    return ResultTable(
+        (Column("question", "question"), Column("answer", "answer")),
+        [{"question": q, "answer": told} for q, told in _diagnostics(answer["diagnostics"])],
         title="What the result rests on",
-        head=("question", "answer"),
-        rows=tuple(_diagnostics(found["diagnostics"])),
         note="What runs give is the first figure of the objective, their mean.",
     )
-    if found["baselines"]:
-        yield Table(
-            title="Other methods at equal cost",
-            head=("method", "objective at the end", "units", "units to the objective found here"),
-            rows=tuple(
-                (one["method"], number(one["objective"]), number(one["units"]),
-                 number(one["units_to_same"]))
-                for one in found["baselines"]
-            ),
-            note="A dash: it was never as good.",
-            numeric=(1, 2, 3),
-        )  # fmt: skip
-    if found["pareto"]:
-        yield _trade_offs(found["pareto"])
 
 
-def _diagnostics(stated: Found) -> Iterator[tuple[str, str]]:
+def baselines(answer: Row) -> Iterator[ResultTable]:
+    """Other methods, where they were asked for."""
+    if answer["baselines"]:
+        columns = (
+            Column("method", "method"),
+            numeric("objective", "objective at the end"),
+            numeric("units", "simulations"),
+            numeric("units_to_same", "simulations to the same objective"),
+        )
+        title, note = "Other methods at equal cost", "A dash: it was never as good."
+        yield ResultTable(columns, answer["baselines"], title, note)
+
+
+def _diagnostics(stated: Row) -> Iterator[tuple[str, str]]:
     if stated["gradient_ok"] is not None:
         worst = max((v for v in stated["gradient_error"].values() if v is not None), default=None)
         state = "yes" if stated["gradient_ok"] else "NO"
@@ -195,19 +220,21 @@ def _short(labels: list[str]) -> list[str]:
     return [label.removeprefix("gains.") for label in labels]
 
 
-def _trade_offs(front: Found) -> Table:
-    columns = front["columns"]
-    rows = [("before", *(number(front["before"][c]) for c in columns), "")]
-    for index, point in enumerate(front["points"]):
-        told = "suggested" if point["suggested"] else "" if point["on_front"] else "beaten"
-        rows.append((str(index), *(number(point["figures"][c]) for c in columns), told))
-    return Table(
-        title="Trade-offs",
-        head=("point", *(" ".join(split_key(c)).strip() for c in columns), ""),
-        rows=tuple(rows),
-        note="The gains of each point stand in pareto/; tested on the training runs only.",
-        numeric=tuple(range(1, 1 + len(columns))),
-    )
+def trade_offs(answer: Row) -> Iterator[ResultTable]:
+    """The gains before and those on the way from corner to corner, where they were asked for."""
+    front = answer["pareto"]
+    if front:
+        rows = [{"point": "before", **front["before"]}]
+        for index, point in enumerate(front["points"]):
+            told = "suggested" if point["suggested"] else "" if point["on_front"] else "beaten"
+            rows.append({"point": str(index), **point["figures"], "told": told})
+        columns = (numeric(key, heading(key)) for key in front["columns"])
+        yield ResultTable(
+            (Column("point", "point"), *columns, Column("told", "")),
+            rows,
+            title="Trade-offs",
+            note="The gains of each point stand in pareto/; tested on the training runs only.",
+        )
 
 
 def _rules(folder: Path) -> dict[str, str]:
@@ -221,23 +248,23 @@ def _rules(folder: Path) -> dict[str, str]:
     }
 
 
-def _settings(found: Found, table: Found) -> dict[str, str]:
+def _settings(answer: Row, table: Row) -> dict[str, str]:
     train, held = table["train"], table["held_out"]
     return {
-        "loop": found["loop"],
-        "search": f"{found['method']}, {table['starts']} starting points, {number(found['units'])} "
-        f"of {number(table['budget'])} units, {found['seconds']:.0f} s of simulation; "
-        f"{found['ended']}",
+        "loop": answer["loop"],
+        "search": f"{answer['method']}, {table['starts']} starting points, "
+        f"{number(answer['units'])} of {number(table['budget'])} simulations, "
+        f"{answer['seconds']:.0f} s; {answer['ended']}",
         "training": f"{_contours(train)}; plants: {train['plants']} drawn"
         f"{' and the nominal one' if train['nominal'] else ''}; gain margin "
         f"{100 * table['margin']:g} %; surrogate: {table['surrogate']}",
         "held out": f"{_contours(held)}; plants: {held['plants']}",
         "seed": str(table["seed"]),
         "precision": "double",
-        "configuration": found["configuration_sha256"],
-        "versions": f"jaxstage {found['version']}, jax {table['jax']}",
+        "configuration": answer["configuration_sha256"],
+        "versions": f"jaxstage {answer['version']}, jax {table['jax']}",
     }
 
 
-def _contours(one: Found) -> str:
+def _contours(one: Row) -> str:
     return ", ".join(dict.fromkeys(case["name"] for case in one["case"]))
