@@ -90,14 +90,14 @@ def reseeded(problem: Problem, case: js.Case, seed: int, runs: int) -> Problem:
     return fresh._replace(before=evaluate(fresh, problem.space.start()[None]))
 
 
-def units_to(found: SearchResult, target: float) -> float:
+def units_to(result: SearchResult, target: float) -> float:
     """Units after which the best is at most ``target``, inf if it never is."""
-    return next((p.simulations for p in found.history if p.best <= target), math.inf)
+    return next((p.simulations for p in result.history if p.best <= target), math.inf)
 
 
-def best_at(found: SearchResult, simulations: float) -> float:
+def best_at(result: SearchResult, simulations: float) -> float:
     """The best after so many units."""
-    return min((p.best for p in found.history if p.simulations <= simulations), default=math.inf)
+    return min((p.best for p in result.history if p.simulations <= simulations), default=math.inf)
 
 
 def compare(
@@ -126,28 +126,30 @@ def compare(
     rows = []
     for seed in range(seeds):
         own_problem = reseeded(problem, case, seed, runs)
-        found = {}
+        results = {}
         for name, make in methods.items():
             spent = budget if name in ("cma", "random") else budget / share * 2
             begin = time.perf_counter()
-            found[name] = tune(own_problem, make(), seed=seed, budget=spent, cost_model=cost_model)
+            results[name] = tune(
+                own_problem, make(), seed=seed, budget=spent, cost_model=cost_model
+            )
             print(
-                f"  seed {seed} {name}: {found[name].after:.4f} after {found[name].units:.0f} "
-                f"units, {time.perf_counter() - begin:.0f} s",
+                f"  seed {seed} {name}: {results[name].after:.4f} after "
+                f"{results[name].simulations:.0f} units, {time.perf_counter() - begin:.0f} s",
                 flush=True,
             )
-        target = found["cma"].after
+        target = results["cma"].after
         rows.append(
             {
                 "seed": seed,
                 "target": target,
-                "own": units_to(found[own.name], target),
+                "own": units_to(results[own.name], target),
                 **{
                     f"{name} at {at:g}": best_at(result, at)
-                    for name, result in found.items()
+                    for name, result in results.items()
                     for at in (budget / share, budget)
                 },
-                **{f"{name} end": result.after for name, result in found.items()},
+                **{f"{name} end": result.after for name, result in results.items()},
             }
         )
     median = float(np.median([row["own"] for row in rows]))
@@ -165,14 +167,14 @@ def compare(
     }
 
 
-def show(found: dict[str, Any]) -> str:
+def show(summary: dict[str, Any]) -> str:
     """A table, one line a seed."""
-    names = [name for name in found["rows"][0] if name != "seed"]
-    body = [[str(row["seed"]), *(f"{row[name]:.4g}" for name in names)] for row in found["rows"]]
+    names = [name for name in summary["rows"][0] if name != "seed"]
+    body = [[str(row["seed"]), *(f"{row[name]:.4g}" for name in names)] for row in summary["rows"]]
     head = (
-        f"n = {found['n']}: {found['method']} reaches the best of {found['budget']:g} units of "
-        f"CMA-ES in {found['median_units']:.0f} units (median), {found['share']:.3f} of them; "
-        f"prices {found['prices']}"
+        f"n = {summary['n']}: {summary['method']} reaches the best of {summary['budget']:g} units "
+        f"of CMA-ES in {summary['median_units']:.0f} units (median), {summary['share']:.3f} of "
+        f"them; prices {summary['prices']}"
     )
     return table(head, ["seed", *names], body)
 
@@ -191,12 +193,12 @@ def main() -> None:
     options = parser.parse_args()
     js.configure(cores=options.cores, cache="default")
     print(machine())
-    found = compare(
+    summary = compare(
         options.few, options.seeds, options.budget, options.duration, options.runs, options.others
     )
-    print(show(found))
+    print(show(summary))
     if options.json:
-        options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
+        options.json.write_text(json.dumps(summary, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -32,7 +32,19 @@ from jaxstage.compiler.runtime.toolchain import build
 def invoke(
     call: Call, results: list[Any], first: Any, count: int, state: Any, more: tuple[Any, ...] = ()
 ) -> list[Array]:
-    """The kernel over ``count`` ticks. results: shapes and types; more: derivatives."""
+    """Call a kernel through XLA's foreign function interface.
+
+    Args:
+        call: The runs and their kernel.
+        results: Shape and type of each result.
+        first: Tick at which it begins, counted from the start of the call.
+        count: Ticks.
+        state: Carry, as the kernel takes it.
+        more: Tangents or cotangents.
+
+    Returns:
+        The results.
+    """
     target = build(call.kernel.text(call.batch.vectors)).target
     shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in results]
     numbers = of_ticks(call, first, count)
@@ -43,7 +55,19 @@ def invoke(
 def pieces(
     piece: Callable[[Any, Any, int], tuple[Any, Any]], state: Any, ticks: int, length: int
 ) -> tuple[Any, Any]:
-    """Run the ticks in pieces of one length, and what is left over."""
+    """Run the ticks in pieces of one length, and what is left over.
+
+    The numbers of all ticks of a piece are in memory at once.
+
+    Args:
+        piece: ``piece(state, first, count) -> (state, rows)``.
+        state: Before the first tick.
+        ticks: Of all pieces.
+        length: Ticks of a piece.
+
+    Returns:
+        The last state, and the rows of all ticks.
+    """
     if ticks <= length:
         return piece(state, 0, ticks)
     whole, rest = divmod(ticks, length)
@@ -57,7 +81,16 @@ def pieces(
 
 
 def forward(batch: RunBatch, kernel: Kernel, args: Any) -> list[Array]:
-    """Leaves of the carry and of the rows after the ticks, the batch leading."""
+    """Run the ticks.
+
+    Args:
+        batch: The runs.
+        kernel: The kernel ``forward``.
+        args: The leaves of the program.
+
+    Returns:
+        Leaves of the carry after the ticks, then of the rows (runs, ticks, ...).
+    """
     call = prepare(batch, kernel, args)
     counts = kernel.counts
 

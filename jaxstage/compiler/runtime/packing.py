@@ -208,7 +208,13 @@ def carry(call: Call) -> tuple[Array, Array]:
 
 
 def unpack(call: Call, rows: Array, shapes: list[Any]) -> list[Array]:
-    """(slots, lanes) as arrays with the batch leading."""
+    """Arrays with the batch leading, from rows of lanes.
+
+    Args:
+        call: The runs.
+        rows: (slots, lanes).
+        shapes: Shape and type of each array of one run, in the order of the slots.
+    """
     out, at = [], 0
     for leaf in shapes:
         count = math.prod(leaf.shape)
