@@ -265,20 +265,19 @@ INLINE vec inverse_root(vec x) { return 1 / root(x); }
     for (int i = 0; i < LANES; i++) r[i] = f(x[i], y[i]);  \
     return r;                                              \
   }
-#if defined(__x86_64__) && defined(__GLIBC__) && BYTES >= 32
+#if defined(__x86_64__) && defined(__GLIBC__) && BYTES >= 32 && !defined(NO_LIBMVEC)
 #if __GLIBC_PREREQ(2, 35)
 #define LIBMVEC 1
 #endif
 #endif
 #if LIBMVEC
 #if WIDE
-#define SYMBOL(f, single) (single ? "_ZGVeN16v_" f "f" : "_ZGVeN8v_" f)
-#define NAME_S(f) _ZGVeN16v_##f##f
-#define NAME_D(f) _ZGVeN8v_##f
+#define NAME_S(name) _ZGVeN16v_##name##f
+#define NAME_D(name) _ZGVeN8v_##name
 typedef __m512 vs; typedef __m512d vd;
 #else
-#define NAME_S(f) _ZGVdN8v_##f##f
-#define NAME_D(f) _ZGVdN4v_##f
+#define NAME_S(name) _ZGVdN8v_##name##f
+#define NAME_D(name) _ZGVdN4v_##name
 typedef __m256 vs; typedef __m256d vd;
 #endif
 #define VECTOR(name, f)                          \
