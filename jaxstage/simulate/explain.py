@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from jaxstage.compiler.runtime.api import KernelReport, describe
-from jaxstage.compiler.runtime.toolchain import compiler
+from jaxstage.compiler.runtime.toolchain import compiler_name
 from jaxstage.model.blocks import Loop
 from jaxstage.model.signals import Scenario
 from jaxstage.model.validate import check
@@ -71,4 +71,4 @@ def explain(
     carry = start(loop, gains, scenario, path)
     program, _ = compiled_form(loop, gains, scenario, path, carry)
     reports = tuple(describe(program, what) for what in kernels)
-    return Explanation(loop.engine.name, loop.engine.shortest, compiler(), reports)
+    return Explanation(loop.engine.name, loop.engine.shortest, compiler_name(), reports)

@@ -109,9 +109,11 @@ def _file() -> Path | None:
 def _read() -> dict[str, int]:
     file = _file()
     try:
-        return json.loads(file.read_text(encoding="utf-8")) if file else {}
-    except (OSError, ValueError):
+        tiles: Any = json.loads(file.read_text(encoding="utf-8")) if file else {}
+    except (OSError, ValueError, RecursionError):
         return {}
+    items: dict[str, Any] = tiles if isinstance(tiles, dict) else {}
+    return {key: tile for key, tile in items.items() if type(tile) is int and tile in CANDIDATES}
 
 
 def _write(tiles: dict[str, int]) -> None:

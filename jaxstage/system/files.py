@@ -1,6 +1,7 @@
 """Files that are there whole or not at all."""
 
 import os
+import stat
 from pathlib import Path
 
 
@@ -24,7 +25,7 @@ def write_whole(file: Path, data: bytes) -> None:
             os.replace(partial, file)
         finally:
             partial.unlink(missing_ok=True)
-        _keep_name(file.parent)
+        keep_name(file.parent)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(file)) from None
 
@@ -39,7 +40,7 @@ def goes_on(error: OSError, how: str) -> OSError:
     return OSError(error.errno, f"{error.strerror or error}; {how}", error.filename)
 
 
-def _keep_name(folder: Path) -> None:
+def keep_name(folder: Path) -> None:
     """Put the names in a folder on the disk, too."""
     if os.name == "posix":
         opened = os.open(folder, os.O_RDONLY)
@@ -47,3 +48,23 @@ def _keep_name(folder: Path) -> None:
             os.fsync(opened)
         finally:
             os.close(opened)
+
+
+def private_folder(folder: Path) -> Path:
+    """Make a folder that only its owner may enter, and those above it, where they are missing."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    return folder
+
+
+def distrust(place: Path) -> str | None:
+    """Why code in a file or folder must not be run, or None: others could have written it."""
+    if not hasattr(os, "geteuid"):
+        return None
+    status = place.stat()
+    if status.st_uid != os.geteuid():
+        return f"it belongs to user {status.st_uid}"
+    others = stat.S_IWOTH if status.st_gid == os.getegid() else stat.S_IWOTH | stat.S_IWGRP
+    if status.st_mode & others:
+        return f"others may write it (mode {stat.S_IMODE(status.st_mode):o})"
+    return None

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import jax
 
+from jaxstage.system.files import distrust, private_folder
+
 #: new objects between two rounds of Python's garbage collector, and rounds between longer ones
 COLLECTED = (100_000, 20, 100)
 
@@ -30,8 +32,8 @@ def configure(
         precision: ``double`` (64 bit) or ``single``.
         cores: XLA host devices, one per core; None leaves JAX's choice.
         cache: Folder that keeps compiled programs for the next start; ``default`` is
-            ``$XDG_CACHE_HOME/jaxstage``, None leaves JAX's setting. A folder that cannot be written
-            is warned of and left out.
+            ``$XDG_CACHE_HOME/jaxstage``, None leaves JAX's setting. A new folder is private; one
+            that cannot be written, or that others may write, is warned of and left out.
 
     Raises:
         ValueError: For a bad value.
@@ -53,18 +55,36 @@ def configure(
     collect_seldom()
     if cache is None:
         return
-    if cache == "default":
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        cache = Path(base) / "jaxstage"
-    try:
-        Path(cache).mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=cache):
-            pass
-    except OSError as error:
-        warnings.warn(f"no cache of compiled programs: {cache}: {error.strerror}", stacklevel=2)
+    folder = _default_cache() if cache == "default" else Path(cache)
+    reason = _unusable(folder)
+    if reason is not None:
+        warnings.warn(f"no cache of compiled programs: {reason}", stacklevel=2)
         return
-    jax.config.update("jax_compilation_cache_dir", str(cache))
+    jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def _default_cache() -> Path | None:
+    """``$XDG_CACHE_HOME/jaxstage``, or None where no home folder is known."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "jaxstage"
+    except RuntimeError:
+        return None
+
+
+def _unusable(folder: Path | None) -> str | None:
+    """Why a folder, made if it is missing, keeps no compiled programs, or None."""
+    if folder is None:
+        return "no home folder is known, set HOME or XDG_CACHE_HOME"
+    try:
+        reason = distrust(private_folder(folder))
+        if reason is None:
+            with tempfile.TemporaryFile(dir=folder):
+                return None
+    except OSError as error:
+        reason = error.strerror
+    return f"{folder}: {reason}"
 
 
 def collect_seldom() -> None:

@@ -262,7 +262,7 @@ def test_a_law_that_cannot_be_compiled_runs_and_says_why_once(how):
 
 
 def test_without_a_compiler_everything_works(monkeypatch):
-    monkeypatch.setattr(api, "compiler", lambda: None)
+    monkeypatch.setattr(api, "compiler", lambda: "no C++ compiler was found")
     c = case("cascade-circle")
     fallback._warn.cache_clear()
     # its length is its own, so that no compiled program of another test is met
@@ -315,6 +315,14 @@ def test_an_accelerator_is_told_by_what_is_lowered_for_it():
         lowered(compiled)
 
 
+def test_without_jit_the_number_is_the_same():
+    c = case("cascade-circle")
+    with jax.disable_jit():
+        eager = [run(c, engine, c.gains, ticks=3).final for engine in (compiled, scan)]
+    for final in eager:
+        close(run(c, compiled, c.gains, ticks=3).final, final, 1e-12)
+
+
 # --- the cache -------------------------------------------------------------------------------
 
 
@@ -322,7 +330,7 @@ def test_a_kernel_is_built_once_and_a_damaged_one_again():
     one = program(case("cascade-circle"))
     text = kernel(one, "forward", shared_by_all(one)).text(1)
     text += "// another file\n"
-    file = toolchain.library_file(text)
+    file = toolchain.library_file(text, toolchain.compiler())
     file.write_bytes(b"not a library")
     assert not toolchain.build.__wrapped__(text).cached
     assert toolchain.build.__wrapped__(text).cached

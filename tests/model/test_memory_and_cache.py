@@ -1,13 +1,18 @@
 """What many runs cost in memory, and that a second start finds its compiled programs."""
 
 import os
+import stat
 import subprocess
 import sys
 
+import jax
 import pytest
 
+import jaxstage as js
 from jaxstage.compiler.ir.errors import LoweringError
 from jaxstage.compiler.runtime import toolchain
+from jaxstage.simulate import tiles
+from jaxstage.system import files, runtime
 
 MEMORY = """
 import resource, sys
@@ -92,3 +97,27 @@ def test_a_full_disk_is_a_scan_with_its_reason(monkeypatch):
     monkeypatch.setattr(toolchain.os, "replace", full)
     with pytest.raises(LoweringError, match=r"cannot be written: .*No space left"):
         toolchain.build('// a text of its own\n#define REAL double\n#include "simd.h"\n')
+
+
+def test_a_new_cache_is_private(tmp_path, monkeypatch):
+    monkeypatch.setattr(jax.config, "update", lambda *a: None)
+    js.configure(cache=tmp_path / "above" / "cache")
+    assert stat.S_IMODE((tmp_path / "above" / "cache").stat().st_mode) == 0o700
+
+
+def test_a_cache_of_somebody_else_is_not_used(tmp_path, monkeypatch):
+    owner = os.geteuid()
+    before = runtime.cache_folder()
+    monkeypatch.setattr(files.os, "geteuid", lambda: owner + 1)
+    with pytest.warns(UserWarning, match=f"programs: {tmp_path}: it belongs to user {owner}"):
+        js.configure(cache=tmp_path)
+    assert runtime.cache_folder() == before
+
+
+@pytest.mark.parametrize("text", ["", "null", "[]", '{"a": "64", "b": 64.0, "c": 65}', "[" * 10**5])
+def test_damaged_tiles_are_measured_again(tmp_path, monkeypatch, text):
+    (tmp_path / "tiles.json").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(tiles, "cache_folder", lambda: str(tmp_path))
+    assert tiles._read() == {}
+    tiles._write({"a": 64})
+    assert tiles._read() == {"a": 64}

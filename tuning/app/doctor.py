@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import jaxlib.version
 
 from jaxstage import Timing, __version__, build, explain, replace
-from jaxstage.compiler.runtime.toolchain import compiler
+from jaxstage.compiler.runtime.toolchain import compiler_name
 from jaxstage.simulate.batch import rollouts
 from jaxstage.system.runtime import cache_folder, cpu_cores, processor
 
@@ -33,7 +33,7 @@ def examine() -> dict[str, Any]:
         "cores_used": len(devices) if jax.default_backend() == "cpu" else 0,
         "precision": "double" if jnp.zeros(()).dtype == jnp.float64 else "single",
         "cache": cache_folder(),
-        "compiler": compiler(),
+        "compiler": compiler_name(),
         "lane_steps_per_s": speed(),
         "speed_of": f"dfcmac-circle, {LANES} runs at once, all default metrics",
     }

@@ -99,8 +99,9 @@ def refusal(program: Program, batched: tuple[bool, ...] = (), runs: int = 0) -> 
         batched: Which of its leaves differ from run to run; none if left out.
         runs: Runs of a batch whose kernel is then built, too; 0 builds nothing.
     """
-    if compiler() is None:
-        return "no C++ compiler (g++ or clang++) was found"
+    chosen = compiler()
+    if isinstance(chosen, str):
+        return chosen
     own = owned(program, batched or (False,) * len(program.leaves))
     if runs:
         built = compiled_kernel(program, "forward", own, vectors(program, runs))

@@ -86,7 +86,11 @@ def has_derivative(program: Program, batched: tuple[bool, ...], moving: tuple[in
 
 
 def _kernel_of(batch: RunBatch, what: str, moving: tuple[int, ...] = ()) -> Kernel | None:
-    """The kernel of a batch; None where it runs as a scan, which is said."""
+    """The kernel of a batch; None where it runs as a scan, which is said.
+
+    Raises:
+        RuntimeError: In place of None, where the program is strict.
+    """
     own = owned(batch.program, batch.batched)
     generated = compiled_kernel(batch.program, what, own, batch.vectors, moving)
     if isinstance(generated, str):
@@ -125,6 +129,7 @@ def _positions(program: Program, moving: tuple[int, ...]) -> list[int]:
 
 
 def _jvp(args: Any, tangents: Any, *, batch: RunBatch) -> Any:
+    """Forward derivative of `rollout_p`: itself, and `tangent_p` beside it."""
     program = batch.program
     nonzero = [i for i, t in enumerate(tangents) if type(t) is not Zero]
     moving = tuple(i for i in nonzero if i < program.num_consts)
@@ -172,6 +177,7 @@ def _moved(program: Program, leaves: Any, at: list[int], ticks: int) -> tuple[An
 
 
 def _every_run(one: Callable[..., list[Array]], batch: RunBatch, args: Any) -> list[Array]:
+    """A function of one run over the batch."""
     axes = [0 if b else None for b in batch.batched]
     return jax.vmap(one, axes, axis_size=batch.runs)(*args)
 
@@ -203,6 +209,7 @@ def _tangent_shapes(*args: Any, batch: RunBatch, moving: tuple[int, ...]) -> lis
 
 
 def _transpose(cotangents: Any, *args: Any, batch: RunBatch, moving: tuple[int, ...]) -> list[Any]:
+    """Transpose of `tangent_p`: `pullback_p`, summed over the runs that share a leaf."""
     program, batched, size, _ = batch
     count = len(program.leaves)
     pulled = [
@@ -275,6 +282,8 @@ def folded(
 
 
 def _batching(primitive: Any) -> Callable[..., Any]:
+    """Batching rule: the new axis becomes part of the batch that the primitive has."""
+
     def rule(args: Any, dims: Any, *, batch: RunBatch, **params: Any) -> Any:
         args, flags, new = folded(args, dims, batch.batched, batch.runs)
         larger = batch._replace(batched=flags, runs=new * batch.runs)
@@ -285,8 +294,11 @@ def _batching(primitive: Any) -> Callable[..., Any]:
 
 
 def _eager(primitive: Any) -> Callable[..., Any]:
+    """The primitive outside of ``jit``, and where that is disabled: a kernel is compiled anyway."""
+
     def run(*args: Any, **params: Any) -> Any:
-        return jax.jit(functools.partial(primitive.bind, **params))(*args)
+        with jax.disable_jit(False):
+            return jax.jit(functools.partial(primitive.bind, **params))(*args)
 
     return run
 
