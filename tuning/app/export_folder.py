@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,12 +15,16 @@ from jaxstage.model.signals import Sample
 from jaxstage.simulate.rollout import simulate
 from jaxstage.studies import Case, with_metric
 from jaxstage.system.files import write_text
+from tuning.app.messages import json_text
+from tuning.store.work_folder import locked
 
 #: ticks of the closed loop that the C text is checked with
 TICKS = 1000
 
 #: what was exported, and the checksums of its files: the sign of a folder of ours
 MANIFEST = "export.json"
+#: its key for the checksums of the files that an unfinished export replaces
+REPLACED = "replaced"
 
 
 def recorded(case: Case, ticks: int = TICKS) -> Sample:
@@ -72,28 +77,45 @@ def export(case: Case, out: Path, form: CForm) -> dict[str, Any]:
         "ticks": len(rows.demand),
         "files": {name: _checksum(text.encode()) for name, text in files.items()},
     }
-    write(out, files, manifest)
+    with locked(out, "exporting"):
+        write(out, files, manifest)
     return manifest
 
 
-def check_folder(out: Path, names: list[str] | None = None) -> dict[str, str]:
-    """The checksums of an earlier export in a folder; empty where there is nothing.
+def check_folder(out: Path, names: Iterable[str] = ()) -> dict[str, set[str]]:
+    """The files of an earlier export in a folder.
 
-    names: of the files that are going to be written. Raises ValueError where a folder that is not
-    empty was not made by an export, and where a file would be lost.
+    Args:
+        out: the folder.
+        names: of the files that are going to be written.
+
+    Returns:
+        Name -> checksums it may have: an export that was stopped leaves its own file or that of the
+        export before. Empty where there is nothing.
+
+    Raises:
+        ValueError: where a folder that is not empty was not made by an export, where its manifest
+            names a file elsewhere, and where a file would be lost.
     """
-    if not out.is_dir() or not any(out.iterdir()):
+    if not out.is_dir() or all(is_leftover(file) for file in out.iterdir()):
         return {}
     try:
-        sums = json.loads((out / MANIFEST).read_text(encoding="utf-8"))["files"]
-        known = {str(name): str(value) for name, value in sums.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        manifest = json.loads((out / MANIFEST).read_text(encoding="utf-8"))
+        known: dict[str, set[str]] = {}
+        for sums in (manifest["files"], manifest.get(REPLACED, {})):
+            for name, value in sums.items():
+                known.setdefault(name, set()).add(value)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         raise ValueError(
             f"--out {out}: the folder is not empty and holds no export; choose another one"
         ) from None
-    for name in {*(names or ()), *known}:
+    for name in {*names, *known}:
+        if Path(name).name != name or "\\" in name or name in ("", MANIFEST):
+            raise ValueError(f"--out {out}: {MANIFEST} names {name!r}, which is no file of it")
         file = out / name
-        if file.exists() and _checksum(file.read_bytes()) != known.get(name):
+        if file.is_symlink() or (
+            file.exists() and _checksum(file.read_bytes()) not in known.get(name, ())
+        ):
             raise ValueError(
                 f"--out {out}: {name} is not as it was exported; move it away, or choose another "
                 "folder"
@@ -101,15 +123,29 @@ def check_folder(out: Path, names: list[str] | None = None) -> dict[str, str]:
     return known
 
 
-def write(out: Path, files: dict[str, str], manifest: dict[str, Any]) -> None:
-    """Write the files of an export in place of those of an earlier one."""
-    known = check_folder(out, list(files))
+def write(out: Path, files: Mapping[str, str], manifest: dict[str, Any]) -> None:
+    """Write the files of an export in place of those of an earlier one.
+
+    The manifest goes first: an export that is stopped anywhere is taken up by the next one.
+    """
+    known = check_folder(out, files)
     out.mkdir(parents=True, exist_ok=True)
+    for file in filter(is_leftover, list(out.iterdir())):
+        file.unlink(missing_ok=True)
+    earlier = {
+        name: _checksum((out / name).read_bytes()) for name in known if (out / name).exists()
+    }
+    write_text(out / MANIFEST, json_text(manifest | {REPLACED: earlier}))
     for name, text in files.items():
         write_text(out / name, text)
-    write_text(out / MANIFEST, json.dumps(manifest, indent=2) + "\n")
     for name in known.keys() - files.keys():
         (out / name).unlink(missing_ok=True)
+    write_text(out / MANIFEST, json_text(manifest))
+
+
+def is_leftover(file: Path) -> bool:
+    """Whether a file is what a process that was killed had begun to write."""
+    return ".partial" in file.name
 
 
 def _checksum(content: bytes) -> str:

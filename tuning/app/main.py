@@ -1,8 +1,8 @@
 """The command line: ``jaxstage demo``, ``list``, ``run``, ``compare``, ``tune``, ``sweep``, ..."""
 
+import io
 import os
 import sys
-from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -21,9 +21,10 @@ from tuning.app.commands.sweep import sweep
 from tuning.app.commands.tune import tune
 from tuning.app.failures import (
     INTERRUPTED,
+    NO_READER,
+    failed,
     file_failed,
     interrupted,
-    is_of_jax,
     refused,
     show_warnings_in_one_line,
 )
@@ -67,10 +68,16 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 def main() -> None:
     """Entry point: `call`, and the end of this process."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal without a letter gets its number
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     status = call()
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        status = NO_READER if isinstance(error, BrokenPipeError) else file_failed(error)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at the end
     if status == INTERRUPTED:
-        with suppress(OSError):
-            sys.stdout.flush()
         os._exit(status)  # a simulation still runs in a thread of XLA: an ordinary end crashes
     sys.exit(status)
 
@@ -79,10 +86,12 @@ def call() -> int:
     """Run the command that this process was called with.
 
     Returns:
-        The exit status. A wrong use prints one line on standard error, and its status is 2.
+        The exit status. A wrong use prints one line on standard error, and its status is 2; so does
+        a fault of ours, with status 70.
     """
     # XLA logs an error for every cached program, over tuning flags that no machine lists
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    os.environ.setdefault("JAX_TRACEBACK_FILTERING", "off")  # which line raised an error
     show_warnings_in_one_line()
     words = sys.argv[1:] or ["--help"]
     try:
@@ -94,14 +103,12 @@ def call() -> int:
         return interrupted(str(error))
     except (KeyboardInterrupt, typer.Abort):
         status = INTERRUPTED
+    except BrokenPipeError:
+        return NO_READER
     except OSError as error:
         return file_failed(error)
-    except ValueError as error:
-        return refused(error)
-    except RuntimeError as error:
-        if not is_of_jax(error):
-            raise
-        return refused(error)
+    except Exception as error:
+        return failed(error)
     return interrupted("every file is whole or absent") if status == INTERRUPTED else status
 
 

@@ -5,9 +5,10 @@ the same work with another configuration, is refused before anything is written.
 """
 
 import hashlib
+import os
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -69,21 +70,40 @@ def read_configuration(folder: Path, kind: FolderKind) -> str:
 
 
 @contextmanager
-def locked(folder: Path, kind: FolderKind, doing: str) -> Iterator[None]:
-    """Keep other processes out of the folder. Raises ValueError where one is at work.
+def locked(folder: Path | None, doing: str) -> Iterator[None]:
+    """Keep other processes out of a folder; the lock ends with this process, however it ends.
 
-    doing: what that one does, e.g. "sweeping".
+    Args:
+        folder: is made where it does not exist, and is gone again where nothing was left in it;
+            without one nothing is locked.
+        doing: what a process that is refused is told, e.g. "sweeping".
+
+    Raises:
+        ValueError: where another process is at work.
     """
-    with (folder / kind.file).open("rb") as file:
+    try:
+        import fcntl
+    except ImportError:  # no such locks on this system
+        folder = None
+    if folder is None:
+        yield
+        return
+    absent = [place for place in (folder, *folder.parents) if not place.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    opened = os.open(folder, os.O_RDONLY)
+    try:
         try:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except ImportError:
-            pass  # no such locks on this system
+            fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ValueError(f"another process is {doing} into {folder}") from None
+        except OSError:
+            pass  # no locks in this file system
         yield
+    finally:
+        os.close(opened)
+        with suppress(OSError):  # something was left there
+            for place in absent:
+                place.rmdir()
 
 
 def digest(text: str) -> str:

@@ -39,7 +39,7 @@ def read_configuration(folder: Path) -> str:
 
 def locked(folder: Path) -> AbstractContextManager[None]:
     """Keep other processes from sweeping into the folder. Raises ValueError where one does."""
-    return folders.locked(folder, KIND, "sweeping")
+    return folders.locked(folder, "sweeping")
 
 
 def chunk_file(folder: Path, plan: SweepPlan, index: int) -> Path:

@@ -42,24 +42,25 @@ def compare(options: CompareOptions) -> None:
     from tuning.app import comparison
     from tuning.app.messages import print_json, progress
     from tuning.store.prepare import check_folder
+    from tuning.store.work_folder import locked
 
     study = comparison.find_study(options.study)
     files = comparison.gains_files(study, options.gains)
     if options.out is not None:
         check_folder(options.out)
-    others = comparison.other_gains(files)
-    compared = compare_study(study, lambda text: progress(f"simulating {text}"))
-    answer = comparison.as_object(compared, others)
-    quiet = options.as_json or options.verdicts
+    with locked(options.out, "comparing"):
+        others = comparison.other_gains(files)
+        compared = compare_study(study, lambda text: progress(f"simulating {text}"))
+        answer = comparison.as_object(compared, others)
+        drawn = [] if options.out is None else comparison.draw(compared, options.out, answer)
     if options.verdicts:
         import tomli_w
 
         print(tomli_w.dumps({j.id: j.verdict for j in compared.claims}), end="")
     if options.as_json:
         print_json(answer)
-    if not quiet:
+    if not (options.as_json or options.verdicts):
         comparison.show(study, answer)
-    if options.out is not None:
-        names = [file.name for file in comparison.draw(compared, options.out, answer)]
-        if not quiet:
-            print(f"{', '.join(names)}, compare.json: {options.out}/")
+        if options.out is not None:
+            names = ", ".join(file.name for file in drawn)
+            print(f"{names}, compare.json: {options.out}/")

@@ -48,7 +48,7 @@ def demo(options: DemoOptions) -> None:
             raise KeyboardInterrupt
 
     work_folder.create(folder, stages.KIND, stages.configuration(), resume=folder.exists())
-    with work_folder.locked(folder, stages.KIND, "running a demo"):
+    with work_folder.locked(folder, "running a demo"):
         try:
             answer = _run(folder, call)
         except (KeyboardInterrupt, InterruptedError):

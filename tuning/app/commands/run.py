@@ -45,6 +45,7 @@ def run(options: RunOptions) -> None:
     from tuning.app.messages import print_json, warn
     from tuning.store.gains_file import read_gains
     from tuning.store.prepare import check_folder, execute, prepare, refuse_rough
+    from tuning.store.work_folder import locked
     from tuning.uncertainty.scenario_file import read_scenario
 
     duration = options.duration
@@ -60,7 +61,8 @@ def run(options: RunOptions) -> None:
     )
     if options.out is not None:
         check_folder(options.out)
-    result = execute(prepared, options.out)
+    with locked(options.out, "running"):
+        result = execute(prepared, options.out)
     for note in result["notes"]:
         warn(note)
     if options.as_json:

@@ -1,6 +1,5 @@
 """``jaxstage tune``: better gains by gradients."""
 
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -100,8 +99,7 @@ def tune(options: TuneOptions) -> None:
     text = configuration.configure_tuning(picked(options, configuration.TuningRequest))
     if out is not None:
         work_folder.create(out, configuration.KIND, text, options.resume)
-    lock = work_folder.locked(out, configuration.KIND, "tuning") if out else nullcontext()
-    with lock:
+    with work_folder.locked(out, "tuning"):
         _tune(configuration.build(text), methods, options)
 
 

@@ -1,13 +1,12 @@
 """The report of a comparison with a paper: the folder that ``jaxstage compare --out`` leaves."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 from jaxstage.studies import known_studies
 from jaxstage.studies.plots import ChartPlot
 from tuning.app.reports import run
-from tuning.app.reports.page import Page, pictures
+from tuning.app.reports.page import Page, pictures, read_json
 from tuning.app.result_table import DASH, Column, ResultTable, Row, metric_table, numeric
 from tuning.store.gains_file import refused_text
 
@@ -21,7 +20,7 @@ TITLES = {
 
 def read(folder: Path) -> Page:
     """The page of a folder with ``compare.json``."""
-    answer = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
+    answer = read_json(folder / "compare.json")
     counts, changed = answer["counts"], answer["changed"]
     every = "Every verdict is the one that is stored with the study."
     return Page(

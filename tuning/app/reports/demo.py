@@ -1,13 +1,11 @@
 """The report of a demo: the folder that ``jaxstage demo`` leaves."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from jaxstage.metrics.table import split_key
 from tuning.app.reports import run, tuning
-from tuning.app.reports.page import Page, pictures, read_answers
+from tuning.app.reports.page import Page, pictures, read_json
 from tuning.app.result_table import (
     Column,
     ResultTable,
@@ -23,8 +21,8 @@ NOMINAL = ("contour_rms_um", "contour_max_um", "energy_J")
 
 
 def read(folder: Path) -> Page:
-    """The page of a folder with ``demo.toml``. Raises ValueError for a demo that was stopped."""
-    answer = read_answers(folder, "demo.json", "demo", f"`jaxstage demo --out {folder}`")
+    """The page of a folder with ``demo.toml``."""
+    answer = read_json(folder / "demo.json")
     names = [loop["loop"] for loop in answer["loops"]]
     better = [_better(loop) for loop in answer["loops"]]
     return Page(
@@ -63,10 +61,6 @@ def _text(file: Path) -> str:
     return file.read_text(encoding="utf-8")
 
 
-def _read(file: Path) -> Any:
-    return json.loads(_text(file))
-
-
 def _better(loop: Row) -> bool:
     """Accepted, and shown to be better on the plants with none lost."""
     plants = loop["plants"]
@@ -79,7 +73,7 @@ def _answers(folder: Path, answer: Row) -> ResultTable:
     rows = []
     for number_, loop in enumerate(answer["loops"]):
         for gains, when in (("published", "before"), ("tuned", "after")):
-            swept = _read(folder / gains / "summary.json")["loops"][number_]
+            swept = read_json(folder / gains / "summary.json")["loops"][number_]
             nominal = {key: loop[when].get(key) for key in NOMINAL}
             row = {"loop": loop["loop"], "gains": gains, "lost": swept["lost"]}
             rows.append(row | nominal | (swept["statistics"] or {}))
@@ -100,7 +94,7 @@ def _answers(folder: Path, answer: Row) -> ResultTable:
 
 def _details(folder: Path, answer: Row) -> Iterator[ResultTable]:
     for loop in (one["loop"] for one in answer["loops"]):
-        table = tuning.gains(_read(folder / "tune" / loop / "tune.json"))
+        table = tuning.gains(read_json(folder / "tune" / loop / "tune.json"))
         yield table._replace(title=f"Gains of {loop}")
     yield ResultTable(
         (

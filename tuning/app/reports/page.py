@@ -2,12 +2,14 @@
 
 import base64
 import json
+import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
+from markupsafe import Markup, escape
 
 from jaxstage import __version__
 from tuning.app.result_table import ResultTable
@@ -49,17 +51,18 @@ def html(page: Page) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters["code"] = _code
     return environment.from_string(template).render(page=page, version=__version__)
 
 
-def read_answers(folder: Path, name: str, noun: str, goes_on: str) -> dict[str, Any]:
-    """The JSON file that long work ends with. Raises ValueError for work that was stopped.
+def _code(text: str) -> Markup:
+    """Text with what stands in backticks as code."""
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
-    goes_on: the command that finishes it.
-    """
-    if not (folder / name).is_file():
-        raise ValueError(f"{folder} holds a {noun} without answers: {goes_on} finishes it")
-    return json.loads((folder / name).read_text(encoding="utf-8"))
+
+def read_json(file: Path) -> Any:
+    """What a JSON file holds."""
+    return json.loads(file.read_text(encoding="utf-8"))
 
 
 def pictures(folder: Path, texts: Mapping[str, str]) -> tuple[Picture, ...]:

@@ -1,12 +1,11 @@
 """The report of one run: the folder that ``jaxstage run --out`` leaves."""
 
-import json
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tuning.app.reports.page import Page, pictures
+from tuning.app.reports.page import Page, pictures, read_json
 from tuning.app.result_table import DASH, ResultTable, decimal, metric_table
 
 #: picture -> how to read it
@@ -30,7 +29,7 @@ TEXTS = {
 
 def read(folder: Path) -> Page:
     """The page of a folder with ``run.json``."""
-    result = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    result = read_json(folder / "run.json")
     texts = {
         name: (folder / name).read_text(encoding="utf-8")
         for name in ("gains.toml", "scenario.toml", "rules.txt")

@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxstage.metrics.table import split_key
 from jaxstage.model.settings import plain_toml
-from tuning.app.reports.page import Page, pictures, read_answers
+from tuning.app.reports.page import Page, pictures, read_json
 from tuning.app.result_table import (
     DASH,
     Column,
@@ -28,9 +28,8 @@ STATISTICS = {"mean": "mean", "P50": "p50", "P95": "p95", "mean of the worst 5 %
 
 
 def read(folder: Path) -> Page:
-    """The page of a folder with ``sweep.toml``. Raises ValueError for a sweep that was stopped."""
-    goes_on = f"`jaxstage sweep --out {folder} --resume`"
-    summary = read_answers(folder, "summary.json", "sweep", goes_on)
+    """The page of a folder with ``sweep.toml``."""
+    summary = read_json(folder / "summary.json")
     table = tomllib.loads((folder / "sweep.toml").read_text(encoding="utf-8"))
     return Page(
         title=f"{', '.join(loop['loop'] for loop in summary['loops'])}: {summary['runs']} plants",

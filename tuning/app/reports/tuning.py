@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from jaxstage.metrics.table import split_key
-from tuning.app.reports.page import Page, pictures, read_answers
+from tuning.app.reports.page import Page, pictures, read_json
 from tuning.app.result_table import (
     DASH,
     Column,
@@ -36,9 +36,8 @@ TEXTS = {
 
 
 def read(folder: Path) -> Page:
-    """The page of a folder with ``tune.toml``. Raises ValueError for a tuning that was stopped."""
-    goes_on = "the same `jaxstage tune` with --resume"
-    answer = read_answers(folder, "tune.json", "tuning", goes_on)
+    """The page of a folder with ``tune.toml``."""
+    answer = read_json(folder / "tune.json")
     table = tomllib.loads((folder / "tune.toml").read_text(encoding="utf-8"))
     return Page(
         title=f"{answer['loop']}: tuned gains",
