@@ -19,7 +19,7 @@ from jaxstage.system.files import write_text
 from jaxstage.system.runtime import cpu_cores
 from tuning.app.messages import json_text
 from tuning.app.reports.comparison import claims, gains
-from tuning.app.result_table import Row, say
+from tuning.app.result_table import Row, objects, say
 from tuning.app.result_table import show as show_table
 from tuning.store.gains_file import read_gains
 from tuning.store.prepare import prepare
@@ -89,7 +89,7 @@ def as_object(compared: Comparison, others: Sequence[OtherGains] = ()) -> dict[s
         "version": __version__,
         "jax": jax.__version__,
         "counts": count(compared.claims),
-        "claims": [judgement._asdict() for judgement in compared.claims],
+        "claims": objects(claims([judgement._asdict() for judgement in compared.claims])),
         "changed": changed(compared),
         "gains": [one._asdict() for one in others],
     }

@@ -41,7 +41,7 @@ def failed(error: Exception) -> int:
     raises should have been refused before, with a better message. Returns the exit status.
     """
     if isinstance(error, MemoryError):
-        return refused(f"out of memory: {error or 'simulate less at once'}")
+        return refused(f"out of memory: {str(error) or 'simulate less at once'}")
     if isinstance(error, ValueError) and not _raised_by_library(error):
         return refused(error)
     if isinstance(error, RuntimeError) and _is_of_jax(error):

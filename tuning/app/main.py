@@ -103,7 +103,9 @@ def call() -> int:
         return interrupted(str(error))
     except (KeyboardInterrupt, typer.Abort):
         status = INTERRUPTED
-    except BrokenPipeError:
+    except SystemExit as stopped:  # so Typer ends where nobody reads on
+        if not isinstance(stopped.__context__, BrokenPipeError):
+            raise
         return NO_READER
     except OSError as error:
         return file_failed(error)

@@ -4,6 +4,9 @@ import json
 import sys
 from typing import Any
 
+#: characters of a line on standard error
+LONGEST = 1000
+
 
 def print_json(answer: Any) -> None:
     """Print one JSON object on standard output; NaN is refused."""
@@ -16,8 +19,11 @@ def json_text(answer: Any) -> str:
 
 
 def warn(message: object) -> None:
-    """Print a line on standard error."""
-    print(f"jaxstage: {' '.join(str(message).split())}", file=sys.stderr, flush=True)
+    """Print a line on standard error; of a very long one the middle is left out."""
+    line = " ".join(str(message).split())
+    if len(line) > LONGEST:
+        line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+    print(f"jaxstage: {line}", file=sys.stderr, flush=True)
 
 
 def progress(text: str) -> None:

@@ -100,14 +100,20 @@ def plain_console(**options: Any) -> Console:
 
 def say(text: str, style: str = "") -> None:
     """Print a line on standard output, never broken by the terminal's width."""
-    plain_console().print(text, style=style or None, soft_wrap=True)
+    _print(plain_console(), Text(text, style), wrap=False)
 
 
 def show(table: ResultTable) -> None:
     """Print a table on standard output; 200 columns wide where that is no terminal."""
     console = plain_console(width=None if sys.stdout.isatty() else 200)
-    wraps = any(column.wrap for column in table.columns)
-    console.print(terminal_table(table), soft_wrap=not wraps)
+    _print(console, terminal_table(table), wrap=any(column.wrap for column in table.columns))
+
+
+def _print(console: Console, shown: Text | TerminalTable, wrap: bool) -> None:
+    """Print as Python does: a console of its own would end the process where a pipe is closed."""
+    with console.capture() as captured:
+        console.print(shown, soft_wrap=not wrap)
+    print(captured.get(), end="")
 
 
 def terminal_table(table: ResultTable) -> TerminalTable:
