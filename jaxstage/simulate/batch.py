@@ -29,6 +29,7 @@ from jaxstage.model.signals import Carry, Run, Scenario
 from jaxstage.model.validate import SHARED, check
 from jaxstage.simulate.rollout import (
     advance,
+    check_ticks,
     compiled_form,
     fields_named,
     report,
@@ -121,8 +122,7 @@ def rollouts(
             tile, devices or ticks < 1; for results beyond the memory budget.
         RuntimeError: Where ``loop.engine`` is `compiled` and these runs cannot be.
     """
-    if ticks < 1:
-        raise ValueError(f"ticks must be >= 1, got {ticks}")
+    check_ticks(ticks)
     axes = spread_axes(in_axes, (gains, scenario, path))
     gains, scenario, path = check(loop, gains, scenario, path, axes)
     leaves, structure = jax.tree.flatten((gains, scenario, path))
@@ -195,9 +195,9 @@ def spread_axes(in_axes: Any, trees: Any) -> Any:
         lambda a: SHARED if a is None else a, in_axes, is_leaf=lambda a: a is None
     )
     axes = jax.tree.broadcast(prefix, trees)
-    wrong = {a for a in jax.tree.leaves(axes) if a not in (0, SHARED)}
+    wrong = {repr(a) for a in jax.tree.leaves(axes) if type(a) is not int or a not in (0, SHARED)}
     if wrong:
-        raise ValueError(f"in_axes holds {sorted(wrong)}: must be 0 or None")
+        raise ValueError(f"in_axes holds {', '.join(sorted(wrong))}: must be 0 or None")
     return axes
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from jaxstage.compiler.runtime.api import KernelReport, describe
+from jaxstage.compiler.runtime.api import KernelReport, describe, refusal
 from jaxstage.compiler.runtime.toolchain import compiler_name
 from jaxstage.model.blocks import Loop
 from jaxstage.model.signals import Scenario
@@ -19,18 +19,20 @@ class Explanation(NamedTuple):
         engine: Its name.
         shortest: Ticks from which a run is compiled, inf for never.
         compiler: The command of the C++ compiler, or None.
-        kernels: Of the run and of its derivatives.
+        reason: Why no run is compiled, or None.
+        kernels: Of the run and of its derivatives, as far as they were asked for.
     """
 
     engine: str
     shortest: float
     compiler: str | None
+    reason: str | None
     kernels: tuple[KernelReport, ...]
 
     @property
     def compiled(self) -> bool:
         """Whether long enough runs are compiled."""
-        return self.shortest < float("inf") and self.kernels[0].reason is None
+        return self.shortest < float("inf") and self.reason is None
 
     def text(self) -> str:
         """One line on the engine, one a kernel."""
@@ -54,7 +56,7 @@ def _line(report: KernelReport) -> str:
 def explain(
     loop: Loop, gains: Any, scenario: Scenario, path: Any, kernels: tuple[str, ...] = KERNELS
 ) -> Explanation:
-    """Build the kernels of a loop and say what came of it.
+    """Build kernels of a loop and say what came of it.
 
     Args:
         loop: What is fixed.
@@ -62,13 +64,19 @@ def explain(
         scenario: What is uncertain.
         path: Parameters of the reference.
         kernels: Of ``forward`` (a run), ``tangent`` and ``pullback`` (derivatives with respect to
-            all gains and all of the scenario).
+            all gains and all of the scenario). None builds nothing.
 
     Raises:
         ValueError: For bad input, naming the value and its allowed range.
     """
+    unknown = [what for what in kernels if what not in KERNELS]
+    if unknown:
+        raise ValueError(f"kernels = {unknown[0]!r}: must be of {', '.join(KERNELS)}")
     gains, scenario, path = check(loop, gains, scenario, path)
     carry = start(loop, gains, scenario, path)
     program, _ = compiled_form(loop, gains, scenario, path, carry)
     reports = tuple(describe(program, what) for what in kernels)
-    return Explanation(loop.engine.name, loop.engine.shortest, compiler_name(), reports)
+    run = [report.reason for report in reports if report.what == "forward"]
+    reason = run[0] if run else refusal(program)
+    engine = loop.engine
+    return Explanation(engine.name, engine.shortest, compiler_name(), reason, reports)

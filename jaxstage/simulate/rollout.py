@@ -7,6 +7,7 @@
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from functools import partial
+from numbers import Integral
 from typing import Any
 
 import jax
@@ -22,6 +23,9 @@ from jaxstage.model.signals import Carry, Output, Run, Sample, Scenario, Setpoin
 from jaxstage.model.validate import check
 from jaxstage.numerics.segmented_scan import segmented
 from jaxstage.simulate.tick import tick, tick_keys
+
+#: what the tick counter holds
+MOST_TICKS = 2**31 - 1
 
 
 def simulate(
@@ -56,11 +60,24 @@ def simulate(
         ValueError: For bad input, naming the value and its allowed range.
         RuntimeError: Where ``loop.engine`` is `compiled` and the loop cannot be, with the reason.
     """
-    if ticks < 1:
-        raise ValueError(f"ticks must be >= 1, got {ticks}")
+    check_ticks(ticks)
     gains, scenario, path = check(loop, gains, scenario, path)
     with fields_named(loop):
         return _simulate(loop, ticks, gains, scenario, path, carry)
+
+
+def check_ticks(ticks: int) -> None:
+    """Refuse a number of control periods that no run can have.
+
+    Raises:
+        ValueError: Unless it is a whole number from 1 to what the 32-bit tick counter holds.
+    """
+    if not isinstance(ticks, Integral):
+        raise ValueError(f"ticks = {ticks!r}: must be a whole number")
+    if ticks < 1:
+        raise ValueError(f"ticks must be >= 1, got {ticks}")
+    if ticks > MOST_TICKS:
+        raise ValueError(f"ticks must be <= {MOST_TICKS} (the counter has 32 bits), got {ticks}")
 
 
 @contextmanager

@@ -261,6 +261,20 @@ def test_a_law_that_cannot_be_compiled_runs_and_says_why_once(how):
     close(run(c, scan, c.gains).final, found.final, 0)
 
 
+def test_what_is_explained_without_building():
+    c = case("cascade-circle")
+    told = js.explain(c.loop, c.gains, c.scenario, c.path, kernels=())
+    assert told.compiled and told.kernels == () and told.reason is None
+    loop = replace(c.loop, controller=odd_law("sort"))
+    told = js.explain(loop, c.gains, c.scenario, c.path, kernels=())
+    assert not told.compiled and "primitive 'sort'" in told.reason
+    assert not js.explain(
+        replace(c.loop, engine=scan), c.gains, c.scenario, c.path, kernels=()
+    ).compiled
+    with pytest.raises(ValueError, match="kernels = 'backward': must be of forward, tangent"):
+        js.explain(c.loop, c.gains, c.scenario, c.path, kernels=("backward",))
+
+
 def test_without_a_compiler_everything_works(monkeypatch):
     monkeypatch.setattr(api, "compiler", lambda: "no C++ compiler was found")
     c = case("cascade-circle")

@@ -214,8 +214,10 @@ def test_bad_batches_are_refused():
         many(c, gains, axes, tile=0)
     with pytest.raises(ValueError, match=r"devices = 99: must be 1\.\."):
         many(c, gains, axes, devices=99)
-    with pytest.raises(ValueError, match="in_axes holds"):
+    with pytest.raises(ValueError, match="in_axes holds 1: must be 0 or None"):
         many(c, gains, 1)
+    with pytest.raises(ValueError, match=r"in_axes holds '0', 0\.0: must be 0 or None"):
+        js.rollouts(c.loop, gains, c.scenario, c.path, 10, in_axes=("0", 0.0, None))
 
 
 def test_recording_beyond_the_budget_is_refused_before_it_runs():

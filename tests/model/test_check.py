@@ -1,5 +1,7 @@
 """What is refused before a run: the message names the leaf, the axis, the unit and the range."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -212,6 +214,20 @@ def test_impossible_loops(field, bad, allowed):
 @pytest.mark.parametrize("ticks", [0, -5])
 def test_a_run_needs_ticks(ticks):
     with pytest.raises(ValueError, match=f"ticks must be >= 1, got {ticks}"):
+        simulate(LOOP, GAINS, SCENE, PATH, ticks)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("ticks", "reason"),
+    [
+        (2**31, "ticks must be <= 2147483647 (the counter has 32 bits), got 2147483648"),
+        (1e3, "ticks = 1000.0: must be a whole number"),
+        ("10", "ticks = '10': must be a whole number"),
+    ],
+)
+def test_ticks_that_nothing_can_count(ticks, reason):
+    with pytest.raises(ValueError, match=f"^{re.escape(reason)}$"):
         simulate(LOOP, GAINS, SCENE, PATH, ticks)
 
 
