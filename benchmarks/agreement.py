@@ -1,6 +1,6 @@
 """``python -m benchmarks.agreement [--contracted] [LOOP ...]``: compiled engine beside the scan.
 
-For every plant and law of the studies: the largest difference of the machine and the figures after
+For every plant and law of the studies: the largest difference of the machine and the metrics after
 30 periods, and of their gradient, relative to the largest number of each leaf. Both compute in the
 arithmetic of IEEE 754, operation by operation: neither XLA nor the C++ compiler makes one
 operation of a product and a sum. In use both do, each where it likes, which is what
@@ -50,7 +50,7 @@ def spread(tree: Any, lanes: int, seed: int = 0) -> Any:
 
 
 def moved(result: js.Run) -> Any:
-    """What a run comes to: the machine and the figures. (The sliding variable is what is left of
+    """What a run comes to: the machine and the metrics. (The sliding variable is what is left of
     two numbers that cancel.)"""
     return result.final.state, result.final.metric, result.final.step, result.final.left_path_at
 
