@@ -11,7 +11,6 @@ by loop and machine.
 import functools
 import hashlib
 import json
-import os
 import platform
 import time
 from collections.abc import Callable
@@ -23,6 +22,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.core import Tracer
 
+from jaxstage.system.files import private_folder, write_text
 from jaxstage.system.runtime import cache_folder
 
 CANDIDATES = (64, 256, 1024)
@@ -121,9 +121,7 @@ def _write(tiles: dict[str, int]) -> None:
     if file is None:
         return
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        partial = file.with_suffix(f".{os.getpid()}")
-        partial.write_text(json.dumps(tiles), encoding="utf-8")
-        os.replace(partial, file)
+        private_folder(file.parent)
+        write_text(file, json.dumps(tiles))
     except OSError:
         return  # a read-only cache costs a measurement next time, nothing else

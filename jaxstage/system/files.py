@@ -1,12 +1,22 @@
 """Files that are there whole or not at all."""
 
+import glob
 import os
 import stat
+import time
+import uuid
+from contextlib import suppress
 from pathlib import Path
+
+#: s after which nobody writes an unfinished file any more
+ABANDONED = 3600.0
 
 
 def write_whole(file: Path, data: bytes) -> None:
     """Write a file atomically: whole or not at all, also when the power fails.
+
+    Several writers may write one file at a time: the last one's stays. What a writer that was
+    killed left beside the file is removed by a later one.
 
     Args:
         file: Where; its folder exists.
@@ -15,10 +25,10 @@ def write_whole(file: Path, data: bytes) -> None:
     Raises:
         OSError: Names the file; what stood there before is then as it was.
     """
-    partial = file.with_name(file.name + ".partial")
+    partial = file.with_name(f".{file.name}.{uuid.uuid4().hex[:12]}.partial")
     try:
         try:
-            with partial.open("wb") as stream:
+            with partial.open("xb") as stream:
                 stream.write(data)
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -26,8 +36,17 @@ def write_whole(file: Path, data: bytes) -> None:
         finally:
             partial.unlink(missing_ok=True)
         keep_name(file.parent)
+        _remove_leftovers(file)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(file)) from None
+
+
+def _remove_leftovers(file: Path) -> None:
+    """Remove the unfinished files of writers that are no more."""
+    for partial in file.parent.glob(f".{glob.escape(file.name)}.*.partial"):
+        with suppress(OSError):
+            if time.time() - partial.stat().st_mtime > ABANDONED:
+                partial.unlink()
 
 
 def write_text(file: Path, text: str) -> None:
