@@ -132,7 +132,7 @@ def test_nearest_equals_brute_force(dense):
     for path, known in (
         (lap(name, fine), u), (lap(name, even), arc / arc[-1]), (lap(name, coarse), u)
     ):  # fmt: skip
-        count = len(path.seats.corner)
+        count = len(path.search.corner)
         tick, away = trials(CURVES[name](), count, KNOTS[name])
         tool = np.asarray(path.setpoint.position)[tick] + away
         at = np.interp(tick / count, known, arc)
@@ -222,8 +222,8 @@ def test_many_corners_in_one_window():
     corners[-1] = corners[0]
     curve = nurbs(corners, np.concatenate([[0], np.arange(151), [150]]), degree=1)
     path = make_path(curve, constant_feed(5000.0, 1e-2))
-    assert path.seats.base.shape[1] >= 4
-    count = len(path.seats.corner)
+    assert path.search.base.shape[1] >= 4
+    count = len(path.search.corner)
     _, p, arc = polyline(curve, 150)
     tick, away = trials(curve, count, [0.0])
     tool = np.asarray(path.setpoint.position)[tick] + away

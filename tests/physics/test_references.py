@@ -95,7 +95,7 @@ def test_uniform_parameter_is_the_published_timing(curve):
 @pytest.mark.parametrize("curve", [circle, star])
 def test_velocity_and_acceleration_are_derivatives(curve, timing):
     path = make_path(curve(), timing)
-    s, dt = whole(path), float(path.lap_time) / len(path.seats.corner)
+    s, dt = whole(path), float(path.lap_time) / len(path.search.corner)
     slope = (s.position[2:] - s.position[:-2]) / (2 * dt)
     bend = (s.position[2:] - 2 * s.position[1:-1] + s.position[:-2]) / dt**2
     away = ticks(curve(), timing).span  # not across a knot
@@ -121,7 +121,7 @@ def test_curvature():
 def test_constant_feed(curve):
     dt, feed = 1e-3, 1234.5
     path = make_path(curve(), constant_feed(feed, dt))
-    s, count = whole(path), len(path.seats.corner)
+    s, count = whole(path), len(path.search.corner)
     actual = float(mean_feed(path))
     np.testing.assert_allclose(np.linalg.norm(s.velocity, axis=1), actual, rtol=1e-12)
     assert float(path.lap_time) == count * dt

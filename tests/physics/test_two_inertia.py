@@ -311,7 +311,7 @@ def test_contour_error_of_load_and_motor():
         drive=CurrentDrive(limit=jnp.full(2, 5.0), delay=0.0, lag=0.0),
         start=Start(offset=jnp.zeros(2), velocity=jnp.ones(2)), key=jax.random.key(0),
     )  # fmt: skip
-    ticks = path.seats.corner.shape[0]
+    ticks = path.search.corner.shape[0]
     report = simulate(loop, both(values.cascade_gains()), scenario, path, ticks).report
     tool = report["following"].following_mean
     motor = report["drive_following"].drive_following_mean
