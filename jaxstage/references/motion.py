@@ -15,10 +15,9 @@ from jax import Array
 
 from jaxstage.model.blocks import Reference
 from jaxstage.model.signals import Nearest, Setpoint
-from jaxstage.numerics.geometry import bend, norm, projection_step, unit
+from jaxstage.numerics.geometry import bend, norm, unit
+from jaxstage.references.nearest import project
 from jaxstage.references.nurbs import Nurbs, degree, in_span, span_of
-
-STEPS = 6
 
 #: r(params, time s) in m, (axes,)
 Position = Callable[[Any, Array], Array]
@@ -29,8 +28,9 @@ def analytic(name: str, position: Position, dt: float) -> Reference[Any]:
     """Analytic trajectory: r(t), r'(t), r''(t) by nested differentiation at t = k dt.
 
     Where |r'| <= 1e-6 dt |r''| (rest, reversal) the tangent is that of r'' and the curvature 0.
-    ``nearest`` is Newton on the time, from the commanded time, 6 steps; there is no lap, so its
-    `arc` counts from the commanded point (negative: behind it).
+    ``nearest`` is the local minimum downhill from the commanded time (`nearest.project`). There is
+    no lap, so its `arc` counts from the commanded point (negative: behind it); its `reach` is 0
+    where the search has not settled.
 
     Args:
         name: unique in the library.
@@ -60,16 +60,16 @@ def _analytic_sample(position: Position, dt: float, params: Any, tick: Array) ->
 def _analytic_nearest(
     position: Position, dt: float, params: Any, tick: Array, tool: Array
 ) -> Nearest:
-    begin = time = _time(params, tick, dt)
-    for last in [False] * (STEPS - 1) + [True]:
-        r, v, a = _motion(position, params, time)
-        time = time + projection_step(tool - r, v, a)
-        time = time if last else jax.lax.stop_gradient(time)
+    begin = _time(params, tick, dt)
+    time, settled = project(partial(_motion, position, params), begin, tool)
     point = position(params, time)
     speed = jax.vmap(lambda t: norm(_motion(position, params, t)[1]))
     arc = _quadrature(speed, begin, time)
     return Nearest(
-        point=point, distance=norm(tool - point), arc=arc, reach=jnp.full_like(arc, jnp.inf)
+        point=point,
+        distance=norm(tool - point),
+        arc=arc,
+        reach=jnp.where(settled, jnp.inf, jnp.zeros_like(arc)),
     )
 
 
@@ -102,9 +102,10 @@ def nurbs_lap(ticks_per_lap: int, dt: float) -> Reference[Nurbs]:
 
     u = u_0 + (u_end - u_0) (k mod n)/n, u' = (u_end - u_0)/(n dt): the setpoints of `make_path`
     with `uniform_parameter`.
-    ``nearest`` is Newton on u within the commanded span and, each on its own, the spans before
-    and after it (over the closure too). So corners are exact, as long as the nearest point is
-    not beyond a neighbouring span.
+    ``nearest`` is the local minimum (`nearest.project`) within the commanded span and, each on its
+    own, the spans before and after it (over the closure too), so corners are exact. Its `reach` is
+    the distance to the nearer end of these spans; inf where they are the whole curve, 0 where the
+    search has not settled.
 
     Args:
         ticks_per_lap: n.
@@ -152,7 +153,7 @@ def _lap_sample(count: int, dt: float, curve: Nurbs, tick: Array) -> Setpoint:
 def _lap_nearest(count: int, curve: Nurbs, tick: Array, tool: Array) -> Nearest:
     curve = jax.tree.map(jnp.asarray, curve)
     knots, points = curve.knots, curve.control_points
-    own, u = _lap_phase(count, curve, tick)
+    own, u_own = _lap_phase(count, curve, tick)
     first, last = degree(curve), points.shape[0] - 1
     extent = jnp.max(jnp.max(points, axis=0) - jnp.min(points, axis=0))
     closed = jnp.max(jnp.abs(points[-1] - points[0])) <= 1e-6 * extent
@@ -161,27 +162,33 @@ def _lap_nearest(count: int, curve: Nurbs, tick: Array, tool: Array) -> Nearest:
     before = jnp.where(before < first, jnp.where(closed, last, own), before)
     after = jnp.where(after > last, jnp.where(closed, first, own), after)
     span = jnp.stack([own, before, after])
-    start = jnp.stack([u, knots[before + 1], knots[after]])
-    point, distance, u = jax.vmap(partial(_in_one_span, curve, tool))(span, start)
+    start = jnp.stack([u_own, knots[before + 1], knots[after]])
+    point, distance, u, settled = jax.vmap(partial(_in_one_span, curve, tool))(span, start)
     best = jnp.argmin(distance)
-    arc = _lap_arc(curve, u[best])
+    used = jnp.sum(knots[1:] > knots[:-1], dtype=jnp.int32)
+    searched = 1 + (before != own) + ((after != own) & (after != before))
+    here, *ends = (
+        in_span(curve, i, u)[0]
+        for i, u in ((own, u_own), (before, knots[before]), (after, knots[after + 1]))
+    )
+    reach = jnp.minimum(*(norm(end - here) for end in ends))
+    reach = jnp.where(searched < used, reach, jnp.inf)
     return Nearest(
-        point=point[best], distance=distance[best], arc=arc, reach=jnp.full_like(arc, jnp.inf)
+        point=point[best],
+        distance=distance[best],
+        arc=_lap_arc(curve, u[best]),
+        reach=jnp.where(settled[best], reach, 0),
     )
 
 
 def _in_one_span(
     curve: Nurbs, tool: Array, span: Array, start: Array
-) -> tuple[Array, Array, Array]:
-    """Nearest point, distance and u within one span, from u = start."""
-    low, high = curve.knots[span], curve.knots[span + 1]
-    u = jnp.clip(start, low, high)
-    for last in [False] * (STEPS - 1) + [True]:
-        r, first, second = in_span(curve, span, u)
-        u = jnp.clip(u + projection_step(tool - r, first, second), low, high)
-        u = u if last else jax.lax.stop_gradient(u)
+) -> tuple[Array, Array, Array, Array]:
+    """Nearest point, distance and u within one span, from u = start; and whether it has settled."""
+    ends = curve.knots[span], curve.knots[span + 1]
+    u, settled = project(partial(in_span, curve, span), start, tool, ends)
     point = in_span(curve, span, u)[0]
-    return point, norm(tool - point), u
+    return point, norm(tool - point), u, settled
 
 
 def _lap_arc(curve: Nurbs, u: Array) -> Array:

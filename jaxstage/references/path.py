@@ -23,6 +23,7 @@ from jaxstage.model.fields import part, pytree, replace, signal
 from jaxstage.model.signals import Nearest, Setpoint
 from jaxstage.numerics.geometry import norm, projection_step
 from jaxstage.references.arc import ArcTable, arc_table, as_double, host_frame
+from jaxstage.references.nearest import settled
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 from jaxstage.references.segments import (
     LapTable,
@@ -140,7 +141,8 @@ def nearest(path: Path, tick: Array, position: Array) -> Nearest:
     """Nearest point of the curve within the window around the commanded point of a tick.
 
     By `STEPS` Newton steps along the smooth piece of the tick, and of each piece that begins in
-    the window. Valid for errors up to about half the smallest radius of curvature.
+    the window. They settle for errors up to about half the smallest radius of curvature; beyond,
+    where the last one still lowers the distance, `reach` is 0.
 
     Args:
         path: the stored lap.
@@ -148,7 +150,8 @@ def nearest(path: Path, tick: Array, position: Array) -> Nearest:
         position: of the tool, (axes,) m.
 
     Returns:
-        The point. Differentiable in ``position``, with gradient 0 at distance 0.
+        The point; `reach`: the window. Differentiable in ``position``, with gradient 0 at
+        distance 0.
     """
     row = tick % path.search.corner.shape[0]
     stretch = _Stretch(
@@ -164,7 +167,8 @@ def nearest(path: Path, tick: Array, position: Array) -> Nearest:
         everything = partial(near, stretch.base.shape[0])
         corner = _row(path.search.corner, row)
         piece, y = jax.lax.cond(corner, everything, partial(near, 1))
-    return replace(_arrive(stretch.on(piece), position, y), reach=path.window)
+    point = _arrive(stretch.on(piece), position, y)
+    return replace(point, reach=jnp.minimum(point.reach, path.window))
 
 
 class _Stretch(NamedTuple):
@@ -210,9 +214,9 @@ def _near(stretch: _Stretch, position: Array, count: int) -> tuple[Array, Array]
     return piece, y
 
 
-def _step(own: _Stretch, position: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+def _step(own: _Stretch, position: Array, y: Array) -> tuple[Array, Array, Array, Array, Array]:
     """A Newton step in the coordinate y, clamped to the window; and where it began: the index of
-    the segment, its coefficients and its start.
+    the segment, its coefficients and its start, and the offset of the tool (axes,) m.
 
     Offsets are taken from the start of the segment, so single precision loses nothing.
     """
@@ -223,20 +227,22 @@ def _step(own: _Stretch, position: Array, y: Array) -> tuple[Array, Array, Array
     offset = (position - c[0]) - f * (c[1] + f * (c[2] + f * c[3]))
     first = c[1] + f * (2 * c[2] + 3 * f * c[3])
     new = y + projection_step(offset, first, 2 * c[2] + 6 * f * c[3])
-    return jnp.clip(new, own.low, own.high), index, c, whole
+    return jnp.clip(new, own.low, own.high), index, c, whole, offset
 
 
 def _arrive(own: _Stretch, position: Array, y: Array) -> Nearest:
     """The last step, which carries the gradient, and the point that it leads to."""
-    y, index, c, whole = _step(own, position, y)
+    y, index, c, whole, offset = _step(own, position, y)
     f = y - whole
     along = f * (c[1] + f * (c[2] + f * c[3]))
+    distance = norm((position - c[0]) - along)
+    reached = settled(norm(offset), distance, position)
     return Nearest(
         point=c[0] + along,
-        distance=norm((position - c[0]) - along),
+        distance=distance,
         arc=own.segments.arc.at[index].get(mode="clip")
         + f * own.segments.length.at[index].get(mode="clip"),
-        reach=jnp.full_like(position[0], jnp.inf),
+        reach=jnp.where(reached, jnp.inf, jnp.zeros_like(distance)),
     )
 
 

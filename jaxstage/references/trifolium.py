@@ -24,8 +24,9 @@ from jax import Array
 from jaxstage.model.blocks import Reference
 from jaxstage.model.fields import known, pytree
 from jaxstage.model.signals import Nearest, Setpoint
-from jaxstage.numerics.geometry import bend, norm, projection_step
+from jaxstage.numerics.geometry import bend, norm
 from jaxstage.references.checked import positive
+from jaxstage.references.nearest import project
 
 STEPS = 6  # Newton, exact to rounding
 TERMS = 48  # of the arc length; they fall as 2^-n
@@ -140,9 +141,9 @@ def _curve(radius: Array, phase: Array) -> tuple[Array, Array, Array]:
 def trifolium(dt: float, phase: Phase = uniform_phase) -> Reference[Trifolium]:
     """Motion along a trifolium, computed in the tick; parameters from `make_trifolium`.
 
-    ``nearest`` is Newton on the phase from the commanded one, 6 steps, so it stays on the leaf
-    being traced: near the origin another one may be closer. Its `arc` is the arc length from
-    th = 0, twice round.
+    ``nearest`` is the local minimum downhill from the commanded phase (`nearest.project`), so it
+    stays on the leaf being traced: near the origin another one may be closer. Its `arc` is the arc
+    length from th = 0, twice round; its `reach` 0 where the search has not settled.
 
     Args:
         dt: control period in s; t = k dt.
@@ -164,15 +165,14 @@ def trifolium(dt: float, phase: Phase = uniform_phase) -> Reference[Trifolium]:
         )
 
     def nearest(params: Trifolium, tick: Array, tool: Array) -> Nearest:
-        angle, _, _ = at(params, tick)
-        for last in [False] * (STEPS - 1) + [True]:
-            place, first, second = _curve(params.radius, angle)
-            angle = angle + projection_step(tool - place, first, second)
-            angle = angle if last else jax.lax.stop_gradient(angle)
+        begin, _, _ = at(params, tick)
+        angle, settled = project(functools.partial(_curve, params.radius), begin, tool)
         point = _curve(params.radius, angle)[0]
-        arc = length(params) / (12 * jnp.pi) * _stretched(6 * angle)
         return Nearest(
-            point=point, distance=norm(tool - point), arc=arc, reach=jnp.full_like(arc, jnp.inf)
+            point=point,
+            distance=norm(tool - point),
+            arc=length(params) / (12 * jnp.pi) * _stretched(6 * angle),
+            reach=jnp.where(settled, jnp.inf, jnp.zeros_like(angle)),
         )
 
     return Reference(name="trifolium", sample=sample, nearest=nearest, period=lambda params: dt)
