@@ -5,17 +5,16 @@
     js.configure(precision="double")
     case = js.build("dfcmac-circle")
     run = case.simulate()
-    run.report["contour"].contour_rms
+    run.report["scored"]["contour"].contour_rms
 
-blocks       every signature on one page         signals      what crosses module borders
+model        blocks (every signature on one page), signals, fields, settings, validation
 plants       machines                            controllers  control laws and compositions
-references   NURBS curves, timing, motion        loads, sensors, drives
-metrics      online figures, windows, recording  studies      published systems, ready to run
-rollout      simulate, replay                    batch        rollouts: many runs at once
-engine       a loop compiled for this processor  explain      whether it is, and why not
-gradients    derivatives, and a check of them    settings     names, TOML files
-stability    eigenvalues of one tick             runtime      precision, devices, cache
-plot         pictures (imports matplotlib)      testing      the contract of a law, as checks
+references   NURBS curves, timing, motion        hardware     drives, sensors, loads
+metrics      online metrics, windows, recording  numerics     integrators, kinks, geometry
+simulate     one run, many runs, gradients, stability, explain
+compiler     a loop compiled for this processor  c_export     a law as C99
+studies      published systems, ready to run     plot         run or table -> picture (matplotlib)
+testing      the contract of a law, as checks    system       precision, devices, cache, files
 """
 
 __version__ = "0.2.0"

@@ -52,23 +52,23 @@ def bench(case: Any, dtype: Any = jnp.float64, axes: int = 2) -> Pair:
     sized = (jnp.asarray(np.resize(np.asarray(x, float), axes)) for x in case)
     error, rate, velocity, acceleration = sized
     position = jnp.asarray(np.resize([0.02, -0.01], axes))
-    wanted = Setpoint(
+    setpoint = Setpoint(
         position=position, velocity=velocity, acceleration=acceleration,
         tangent=jnp.eye(axes)[0], curvature=jnp.zeros(()),
     )  # fmt: skip
     x, v = position - error, velocity - rate
     seen = Measurement(position=x, velocity=v, drive_position=x, drive_velocity=v)
-    return cast(wanted, dtype), cast(seen, dtype)
+    return cast(setpoint, dtype), cast(seen, dtype)
 
 
 def ticks(
     law: Controller, gains: Any, pair: Pair, limit: Any = 0.3, count: int = 2, dt: float = DT
 ) -> tuple[Any, Any]:
     """``count`` periods with a fixed error behind a drive that saturates: demands and memory."""
-    wanted, measured = pair
-    memory, demands = law.init(gains, wanted, measured), []
+    setpoint, measured = pair
+    memory, demands = law.init(gains, setpoint, measured), []
     for _ in range(count):
-        demand, memory = law.control(gains, memory, wanted, measured, dt)
+        demand, memory = law.control(gains, memory, setpoint, measured, dt)
         memory = law.settle(gains, memory, demand, jnp.clip(demand, -limit, limit), dt)
         demands.append(demand)
     return jnp.stack(demands), memory
@@ -96,15 +96,16 @@ def memory_keeps_its_kind(
     law: Controller, gains: Any, dtype: Any = jnp.float64, axes: int = 2, dt: float = DT
 ) -> None:
     """Memory keeps structure, shapes and types, so that a scan accepts it and nothing retraces."""
-    wanted, measured = bench(MOVING, dtype, axes)
+    setpoint, measured = bench(MOVING, dtype, axes)
 
-    def period(gains: Any, wanted: Setpoint, measured: Measurement) -> Any:
-        before = law.init(gains, wanted, measured)
-        demand, controlled = law.control(gains, before, wanted, measured, dt)
+    def period(gains: Any, setpoint: Setpoint, measured: Measurement) -> Any:
+        before = law.init(gains, setpoint, measured)
+        demand, controlled = law.control(gains, before, setpoint, measured, dt)
         return demand, before, controlled, law.settle(gains, controlled, demand, demand, dt)
 
-    found = jax.eval_shape(period, cast(gains, dtype), wanted, measured)
-    demand, before, controlled, settled = found
+    demand, before, controlled, settled = jax.eval_shape(
+        period, cast(gains, dtype), setpoint, measured
+    )
     assert demand.shape == (axes,), f"the demand has shape {demand.shape}, not {(axes,)}"
     assert demand.dtype == dtype and not demand.weak_type, f"the demand is {demand.dtype}"
     assert _kinds(before) == _kinds(controlled), "control changes the kind of the memory"
@@ -163,8 +164,8 @@ def gradients_agree(law: Controller, gains: Any, axes: int = 2, dt: float = DT) 
         return forward, jax.grad(objective, argnums=(0, 1))(g, pair)
 
     for name, case in CASES.items():
-        found = slopes(gains, bench(case, axes=axes), direction)
-        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
+        slope = slopes(gains, bench(case, axes=axes), direction)
+        finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope))
         assert finite, f"{name}: a derivative is not finite"
     pair = bench(MOVING, axes=axes)
     (_, forward), (reverse, _) = slopes(gains, pair, direction)

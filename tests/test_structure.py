@@ -223,7 +223,7 @@ def test_two_kinds_of_object_nothing_else(file):
     for node in ast.walk(TREES[file]):
         if isinstance(node, ast.ClassDef):
             bases = {ast.unparse(base).partition("[")[0] for base in node.bases}
-            assert bases <= {"NamedTuple", "Exception", "Generic"}, node.name
+            assert bases <= {"NamedTuple", "Exception", "Generic", "Protocol"}, node.name
             methods = {item.name for item in node.body if isinstance(item, ast.FunctionDef)}
             assert not methods & {"__init__", "__post_init__", "__call__"}, node.name
     assert not re.search(r"\bcustom_vjp\b", text) and "pure_callback" not in text
@@ -306,7 +306,7 @@ def test_figures_have_names_of_their_own():
     """Reports of all public metrics flatten into one table without two equal keys."""
     exported = {n: v for n, v in vars(jaxstage.metrics).items() if not n.startswith("_")}
     metrics = [v for v in exported.values() if isinstance(v, Metric)]
-    factories = {"effort": (), "quadrant_glitch": (), "sliding_figures": (_surface,)}
+    factories = {"effort": (), "quadrant_glitch": (), "sliding_metrics": (_surface,)}
     metrics += [exported[name](*arguments) for name, arguments in factories.items()]
     assert len(metrics) >= 9
     two = jnp.zeros(2)

@@ -1,4 +1,10 @@
-"""The stage between controller and plant: limits, dead time, current-loop lag."""
+"""Drives: the stage between controller and plant, with limits, dead time and current-loop lag.
+
+    u = clip(u_d, -u_max, u_max),   applied = lag(u delayed by d periods),   tau a' = u - a
+
+u_d: demand of the law; u: command; a: what reaches the plant. Drives take the place of one another:
+`ideal_drive`, `current_drive`, and `amplified` around one of them.
+"""
 
 import functools
 from typing import Any
@@ -6,19 +12,10 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.model.blocks import Drive
-from jaxstage.model.fields import param, part, pytree, replace, signal
+from jaxstage.model.array_types import PerAxis
+from jaxstage.model.blocks import Drive, Memory
+from jaxstage.model.fields import param, part, pytree, signal
 from jaxstage.numerics.smooth import clamp
-
-
-def _ideal_init(params: tuple[()], demand: Array) -> tuple[()]:
-    return ()
-
-
-def _ideal_apply(
-    params: tuple[()], memory: tuple[()], demand: Array, dt: float
-) -> tuple[Array, Array, tuple[()]]:
-    return demand, demand, ()
 
 
 @pytree
@@ -41,23 +38,29 @@ class CurrentMemory:
 
 
 @functools.cache
-def current_drive(max_delay: int = 0) -> Drive:
+def current_drive(max_delay: int = 0) -> Drive[CurrentDrive, CurrentMemory]:
     """command = clip(demand, +-u_max); applied = command delayed by ``delay`` periods, then lagged.
 
     The lag is tau a' = u - a; the plant gets its mean over the period, held: exact in impulse, for
-    any tau against dt. tau = 0 is none. The delay is data, up to the static ``max_delay``; before
-    the first command has arrived the plant sees 0. Raises ValueError for a negative ``max_delay``.
+    any tau against dt. tau = 0 is none. The delay is data; before the first command has arrived
+    the plant sees 0. Parameters: `CurrentDrive`.
+
+    Args:
+        max_delay: largest dead time in periods, which sets the size of the memory.
+
+    Raises:
+        ValueError: ``max_delay`` is negative.
     """
     if max_delay < 0:
         raise ValueError(f"max_delay must be >= 0, got {max_delay}")
 
-    def init(params: CurrentDrive, demand: Array) -> CurrentMemory:
+    def init(params: CurrentDrive, demand: PerAxis) -> CurrentMemory:
         zero = jnp.zeros_like(demand)
         return CurrentMemory(queue=jnp.stack([zero] * (max_delay + 1)), lagged=zero)
 
     def apply(
-        params: CurrentDrive, memory: CurrentMemory, demand: Array, dt: float
-    ) -> tuple[Array, Array, CurrentMemory]:
+        params: CurrentDrive, memory: CurrentMemory, demand: PerAxis, dt: float
+    ) -> tuple[PerAxis, PerAxis, CurrentMemory]:
         command = clamp(demand, params.limit)
         queue = jnp.concatenate([command[None], memory.queue[:-1]])
         arrived = queue[jnp.clip(params.delay, 0, max_delay).astype(jnp.int32)]
@@ -73,7 +76,11 @@ def current_drive(max_delay: int = 0) -> Drive:
 
 
 #: Applies the demand as it is; params ``()``.
-ideal_drive = Drive(name="ideal_drive", init=_ideal_init, apply=_ideal_apply)
+ideal_drive: Drive[tuple[()], tuple[()]] = Drive(
+    name="ideal_drive",
+    init=lambda params, demand: (),
+    apply=lambda params, memory, demand, dt: (demand, demand, ()),
+)
 
 
 @pytree
@@ -85,17 +92,19 @@ class Amplified:
 
 
 @functools.cache
-def amplified(drive: Drive) -> Drive:
+def amplified(drive: Drive[Any, Memory]) -> Drive[Amplified, Memory]:
     """A drive whose output is ``factor`` times what it should be, unknown to the law.
 
-    A loop that stays stable at factors 1/g .. g has a gain margin of g.
+    A loop that stays stable at factors 1/g .. g has a gain margin of g. Parameters: `Amplified`.
     """
 
-    def init(params: Amplified, demand: Array) -> Any:
+    def init(params: Amplified, demand: PerAxis) -> Memory:
         return drive.init(params.drive, demand)
 
-    def apply(params: Amplified, memory: Any, demand: Array, dt: float) -> tuple[Array, Array, Any]:
+    def apply(
+        params: Amplified, memory: Memory, demand: PerAxis, dt: float
+    ) -> tuple[PerAxis, PerAxis, Memory]:
         command, applied, after = drive.apply(params.drive, memory, demand, dt)
         return command, params.factor * applied, after
 
-    return replace(drive, name=f"amplified[{drive.name}]", init=init, apply=apply)
+    return Drive(name=f"amplified[{drive.name}]", init=init, apply=apply, max_delay=drive.max_delay)

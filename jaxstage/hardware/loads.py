@@ -1,4 +1,12 @@
-"""External forces on the axes. Positive against +x. Evaluated inside the integrator."""
+"""Loads: external forces on the axes in N, positive against +x, evaluated inside the integrator.
+
+| load | force |
+|---|---|
+| `no_load` | 0 |
+| `sine_load` | F_0 + A sin(omega t + phi) |
+| `coupling_load` | C v |
+| `all_loads` | the sum of several |
+"""
 
 import functools
 from typing import Any
@@ -7,13 +15,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxstage.model.array_types import PerAxis, RandomKey, Scalar
 from jaxstage.model.blocks import Load
 from jaxstage.model.fields import param, pytree
 from jaxstage.model.signals import Output
-
-
-def _none(params: tuple[()], time: Array, key: Array, output: Output) -> Array:
-    return jnp.zeros_like(output.position)
 
 
 @pytree
@@ -26,7 +31,7 @@ class SineLoad:
     bias: Array = param("N", "F_0", "constant part", shape="(axes,)")
 
 
-def _sine(params: SineLoad, time: Array, key: Array, output: Output) -> Array:
+def _sine(params: SineLoad, time: Scalar, key: RandomKey, output: Output) -> PerAxis:
     return params.bias + params.amplitude * jnp.sin(params.frequency * time + params.phase)
 
 
@@ -39,15 +44,15 @@ class CouplingLoad:
     )
 
 
-def _coupling(params: CouplingLoad, time: Array, key: Array, output: Output) -> Array:
+def _coupling(params: CouplingLoad, time: Scalar, key: RandomKey, output: Output) -> PerAxis:
     return params.coupling @ output.velocity
 
 
 @functools.cache
-def all_loads(*loads: Load) -> Load:
+def all_loads(*loads: Load[Any]) -> Load[tuple[Any, ...]]:
     """The sum of several loads; params is the tuple of theirs. Each draws from a key of its own."""
 
-    def force(params: tuple[Any, ...], time: Array, key: Array, output: Output) -> Array:
+    def force(params: tuple[Any, ...], time: Scalar, key: RandomKey, output: Output) -> PerAxis:
         keys = jax.random.split(key, len(loads))
         each = [
             load.force(own, time, k, output)
@@ -59,7 +64,9 @@ def all_loads(*loads: Load) -> Load:
 
 
 #: No external force; params ``()``.
-no_load = Load(name="no_load", force=_none)
+no_load: Load[tuple[()]] = Load(
+    name="no_load", force=lambda params, time, key, output: jnp.zeros_like(output.position)
+)
 
 #: F = F_0 + A sin(omega t + phi); params `SineLoad`.
 sine_load = Load(name="sine_load", force=_sine)

@@ -1,4 +1,7 @@
-"""What the controller sees of the truth."""
+"""Sensors: what the controller sees of the truth.
+
+`ideal_sensor` and `encoder` read; `noisy` and `motor_side` change what another sensor reads.
+"""
 
 import functools
 from typing import Any
@@ -7,7 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxstage.model.blocks import Sensor
+from jaxstage.model.array_types import PerAxis, RandomKey
+from jaxstage.model.blocks import Memory, Params, Sensor
 from jaxstage.model.fields import param, part, pytree, replace, signal
 from jaxstage.model.signals import Measurement, Output
 from jaxstage.numerics.filters import low_pass_weight
@@ -21,16 +25,6 @@ def _truth(output: Output) -> Measurement:
         drive_position=output.drive_position,
         drive_velocity=output.drive_velocity,
     )
-
-
-def _ideal_init(params: tuple[()], output: Output) -> tuple[()]:
-    return ()
-
-
-def _ideal_read(
-    params: tuple[()], memory: tuple[()], key: Array, output: Output, dt: float
-) -> tuple[Measurement, tuple[()]]:
-    return _truth(output), ()
 
 
 @pytree
@@ -58,7 +52,7 @@ def _encoder_init(params: Encoder, output: Output) -> EncoderMemory:
 
 
 def _encoder_read(
-    params: Encoder, memory: EncoderMemory, key: Array, output: Output, dt: float
+    params: Encoder, memory: EncoderMemory, key: RandomKey, output: Output, dt: float
 ) -> tuple[Measurement, EncoderMemory]:
     """v <- v + (1 - exp(-2 pi f dt)) ((y_k - y_{k-1})/dt - v); the first sample is the truth."""
     last = memory.last
@@ -66,7 +60,7 @@ def _encoder_read(
     position = quantise(output.position, params.resolution)
     drive = quantise(output.drive_position, params.resolution)
 
-    def filtered(now: Array, before: Array, speed: Array, true_speed: Array) -> Array:
+    def filtered(now: PerAxis, before: PerAxis, speed: PerAxis, true_speed: PerAxis) -> PerAxis:
         smoothed = speed + weight * ((now - before) / dt - speed)
         return jnp.where(memory.fresh > 0, true_speed, smoothed)
 
@@ -82,19 +76,23 @@ def _encoder_read(
 
 
 #: The exact state; params ``()``.
-ideal_sensor = Sensor(name="ideal_sensor", init=_ideal_init, read=_ideal_read)
+ideal_sensor: Sensor[tuple[()], tuple[()]] = Sensor(
+    name="ideal_sensor",
+    init=lambda params, output: (),
+    read=lambda params, memory, key, output, dt: (_truth(output), ()),
+)
 
 #: Quantised position, differenced and filtered velocity; params `Encoder`.
 encoder = Sensor(name="encoder", init=_encoder_init, read=_encoder_read)
 
 
 @functools.cache
-def motor_side(sensor: Sensor) -> Sensor:
+def motor_side(sensor: Sensor[Params, Memory]) -> Sensor[Params, Memory]:
     """The sensor with the motor side in the place of the tool: any law then acts on the motor."""
 
     def read(
-        params: Any, memory: Any, key: Array, output: Output, dt: float
-    ) -> tuple[Measurement, Any]:
+        params: Params, memory: Memory, key: RandomKey, output: Output, dt: float
+    ) -> tuple[Measurement, Memory]:
         seen, kept = sensor.read(params, memory, key, output, dt)
         turned = replace(seen, position=seen.drive_position, velocity=seen.drive_velocity)
         return turned, kept
@@ -111,19 +109,19 @@ class Noisy:
 
 
 @functools.cache
-def noisy(sensor: Sensor) -> Sensor:
+def noisy(sensor: Sensor[Any, Memory]) -> Sensor[Noisy, Memory]:
     """The sensor on a position with white noise, drawn anew in every period; params `Noisy`.
 
     Tool and drive side have noise of their own. A sensor that differences makes a velocity of it,
     one that quantises rounds it; a velocity that is not made from the position stays exact.
     """
 
-    def init(params: Noisy, output: Output) -> Any:
+    def init(params: Noisy, output: Output) -> Memory:
         return sensor.init(params.sensor, output)
 
     def read(
-        params: Noisy, memory: Any, key: Array, output: Output, dt: float
-    ) -> tuple[Measurement, Any]:
+        params: Noisy, memory: Memory, key: RandomKey, output: Output, dt: float
+    ) -> tuple[Measurement, Memory]:
         own, tool, drive = jax.random.split(key, 3)
         x, x_d = output.position, output.drive_position
         shaken = replace(
@@ -134,3 +132,7 @@ def noisy(sensor: Sensor) -> Sensor:
         return sensor.read(params.sensor, memory, own, shaken, dt)
 
     return Sensor(name=f"noisy[{sensor.name}]", init=init, read=read)
+
+
+#: An `encoder` on a position with noise; params `Noisy` around `Encoder`.
+noisy_encoder = noisy(encoder)

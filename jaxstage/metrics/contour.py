@@ -1,22 +1,26 @@
-"""Distance of the tool from the curve it should cut."""
+"""Contour error: the distance of the tool from the curve it should cut.
+
+    eps = min_s |p - c(s)|,      its tangent estimate |e - (e . t) t| with e = r - p
+
+p: tool; c(s): commanded curve; r, t: commanded point and unit tangent there.
+"""
 
 from jax import Array
 
 from jaxstage.metrics import moments
-from jaxstage.metrics.moments import Moments
+from jaxstage.metrics.moments import Moments, moments_of
 from jaxstage.metrics.tracking import following_error
-from jaxstage.model.blocks import Metric
-from jaxstage.model.fields import part, pytree, signal
-from jaxstage.model.signals import Sample, Setpoint
+from jaxstage.model.fields import pytree, signal
+from jaxstage.model.signals import Sample
 from jaxstage.numerics.geometry import norm, normal_part
 
 
 @pytree
-class Contour:
+class ContourError:
     """True contour error: distance to the nearest point of the curve on the local branch.
 
     Where the following error exceeds the arc length searched (the reference's window) the nearest
-    point may lie outside of it, and the distance found is an upper bound.
+    point may lie outside of it, and the distance is an upper bound.
     """
 
     contour_rms: Array = signal("m", "", "RMS", shown="um")
@@ -28,14 +32,6 @@ class Contour:
 
 
 @pytree
-class ContourSums:
-    """Moments of the contour error, and of being beyond the search."""
-
-    error: Moments = part("moments of the contour error")
-    beyond: Moments = part("moments of 1 where the following error is beyond the search")
-
-
-@pytree
 class TangentContour:
     """Contour error as papers estimate it: distance to the tangent at the commanded point."""
 
@@ -44,49 +40,39 @@ class TangentContour:
     contour_tangent_max: Array = signal("m", "", "largest", shown="um")
 
 
-def _init(setpoint: Setpoint) -> ContourSums:
-    none = moments.empty(setpoint.position[0])
-    return ContourSums(error=none, beyond=none)
-
-
-def _update(acc: ContourSums, sample: Sample, dt: float) -> tuple[ContourSums, None]:
+def _distances(sample: Sample, dt: float) -> tuple[Array, Array]:
+    distance = sample.nearest.distance
     beyond = norm(following_error(sample)) > sample.nearest.reach
-    return ContourSums(
-        error=moments.add(acc.error, sample.nearest.distance),
-        beyond=moments.add(acc.beyond, beyond.astype(sample.nearest.distance.dtype)),
-    ), None
+    return distance, beyond.astype(distance.dtype)
 
 
-def _finish(acc: ContourSums) -> Contour:
-    return Contour(
-        contour_rms=moments.root(moments.mean_square(acc.error)),
-        contour_mean=moments.mean(acc.error),
-        contour_max=moments.largest(acc.error),
-        contour_beyond_share=moments.mean(acc.beyond),
+def _report(error: Moments, beyond: Moments) -> ContourError:
+    return ContourError(
+        contour_rms=moments.rms(error),
+        contour_mean=moments.mean(error),
+        contour_max=moments.largest(error),
+        contour_beyond_share=moments.mean(beyond),
     )
 
 
-def _tangent_init(setpoint: Setpoint) -> Moments:
-    return moments.empty(setpoint.position[0])
+def _beside_tangent(sample: Sample, dt: float) -> tuple[Array]:
+    return (norm(normal_part(following_error(sample), sample.setpoint.tangent)),)
 
 
-def _tangent_update(acc: Moments, sample: Sample, dt: float) -> tuple[Moments, None]:
-    aside = normal_part(following_error(sample), sample.setpoint.tangent)
-    return moments.add(acc, norm(aside)), None
-
-
-def _tangent_finish(acc: Moments) -> TangentContour:
+def _tangent_report(error: Moments) -> TangentContour:
     return TangentContour(
-        contour_tangent_rms=moments.root(moments.mean_square(acc)),
-        contour_tangent_mean=moments.mean(acc),
-        contour_tangent_max=moments.largest(acc),
+        contour_tangent_rms=moments.rms(error),
+        contour_tangent_mean=moments.mean(error),
+        contour_tangent_max=moments.largest(error),
     )
 
 
-#: True contour error; report `Contour`.
-contour = Metric(name="contour", init=_init, update=_update, finish=_finish)
+#: True contour error; report `ContourError`.
+contour = moments_of(
+    "contour", _distances, _report, lambda setpoint: moments.one_number(setpoint) * 2
+)
 
 #: The tangent estimate |e - (e.t) t|; report `TangentContour`.
-tangent_contour = Metric(
-    name="tangent_contour", init=_tangent_init, update=_tangent_update, finish=_tangent_finish
+tangent_contour = moments_of(
+    "tangent_contour", _beside_tangent, _tangent_report, moments.one_number
 )

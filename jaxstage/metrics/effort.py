@@ -1,12 +1,13 @@
-"""What the controller asks of the drive."""
+"""Control effort: what the controller asks of the drive, and how much of it is cut."""
 
 import functools
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxstage.metrics import moments
-from jaxstage.metrics.moments import Moments
+from jaxstage.metrics.moments import Moments, moments_of
 from jaxstage.model.blocks import Metric
 from jaxstage.model.fields import part, pytree, signal
 from jaxstage.model.signals import Sample, Setpoint
@@ -41,7 +42,7 @@ class EffortSums:
 
 
 @functools.cache
-def effort(cutoff: float = 100.0) -> Metric:
+def effort(cutoff: float = 100.0) -> Metric[EffortSums, Effort]:
     """Variance, total variation and chattering of the command.
 
     Chattering is the RMS of u - LP(u), a first-order high-pass at ``cutoff`` Hz that starts
@@ -52,10 +53,8 @@ def effort(cutoff: float = 100.0) -> Metric:
     def init(setpoint: Setpoint) -> EffortSums:
         zero = jnp.zeros_like(setpoint.position)
         none = moments.empty(zero)
-        return EffortSums(
-            command=none, high=none, last=zero, slow=zero, variation=zero,
-            time=jnp.zeros((), zero.dtype),
-        )  # fmt: skip
+        time = jnp.zeros((), zero.dtype)
+        return EffortSums(command=none, high=none, last=zero, slow=zero, variation=zero, time=time)
 
     def update(acc: EffortSums, sample: Sample, dt: float) -> tuple[EffortSums, None]:
         u = sample.command
@@ -74,11 +73,11 @@ def effort(cutoff: float = 100.0) -> Metric:
 
     def finish(acc: EffortSums) -> Effort:
         return Effort(
-            command_rms=moments.root(moments.mean_square(acc.command)),
+            command_rms=moments.rms(acc.command),
             command_max=moments.largest(acc.command),
             command_variance=moments.variance(acc.command),
             command_variation=jnp.where(acc.time > 0, acc.variation / acc.time, jnp.nan),
-            chattering=moments.root(moments.mean_square(acc.high)),
+            chattering=moments.rms(acc.high),
         )
 
     return Metric(name="effort", init=init, update=update, finish=finish)
@@ -91,19 +90,48 @@ class Saturation:
     saturated_share: Array = signal("1", "", "share of periods at a limit", shape="(axes,)")
 
 
-def _saturation_init(setpoint: Setpoint) -> Moments:
-    return moments.empty(setpoint.position)
-
-
-def _saturation_update(acc: Moments, sample: Sample, dt: float) -> tuple[Moments, None]:
-    cut = (sample.command != sample.demand).astype(sample.command.dtype)
-    return moments.add(acc, cut), None
+def _cut(sample: Sample, dt: float) -> tuple[Array]:
+    return ((sample.command != sample.demand).astype(sample.command.dtype),)
 
 
 #: Share of control periods whose demand was cut; report `Saturation`.
-saturation = Metric(
-    name="saturation",
-    init=_saturation_init,
-    update=_saturation_update,
-    finish=lambda acc: Saturation(saturated_share=moments.mean(acc)),
+saturation = moments_of(
+    "saturation", _cut, lambda cut: Saturation(saturated_share=moments.mean(cut))
+)
+
+
+@pytree
+class CommandChange:
+    """Change of the command of each axis from period to period."""
+
+    command_change_rms: Array = signal("command", "", "RMS", shape="(axes,)")
+
+
+@pytree
+class ChangeSums:
+    """Moments of the change, and the command before."""
+
+    change: Moments = part("moments of the change")
+    last: Array = signal("command", "", "command before", shape="(axes,)")
+    begun: Array = signal("1", "", "1 once there is a command before")
+
+
+def _change_init(setpoint: Setpoint) -> ChangeSums:
+    zero = jnp.zeros_like(setpoint.position)
+    return ChangeSums(change=moments.empty(zero), last=zero, begun=jnp.zeros((), zero.dtype))
+
+
+def _change_update(acc: ChangeSums, sample: Sample, dt: float) -> tuple[ChangeSums, None]:
+    # the first command is no change
+    added = moments.add(acc.change, sample.command - acc.last)
+    change = jax.tree.map(functools.partial(jnp.where, acc.begun > 0), added, acc.change)
+    return ChangeSums(change=change, last=sample.command, begun=jnp.ones_like(acc.begun)), None
+
+
+#: RMS change of the command; report `CommandChange`.
+command_change = Metric(
+    name="command_change",
+    init=_change_init,
+    update=_change_update,
+    finish=lambda acc: CommandChange(command_change_rms=moments.rms(acc.change)),
 )

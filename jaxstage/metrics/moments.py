@@ -1,9 +1,13 @@
-"""Running sums: mean, RMS, maximum, variance, without cancellation."""
+"""Running moments: mean, RMS, maximum and variance of a signal, without cancellation."""
+
+from collections.abc import Callable
 
 import jax.numpy as jnp
 from jax import Array
 
+from jaxstage.model.blocks import Metric, Report
 from jaxstage.model.fields import pytree, signal
+from jaxstage.model.signals import Sample, Setpoint
 
 
 @pytree
@@ -23,7 +27,10 @@ def empty(like: Array) -> Moments:
 
 
 def add(moments: Moments, value: Array) -> Moments:
-    """One more sample (Welford): float32 sums of 1e5 samples keep their digits."""
+    """One more sample (Welford): float32 sums of 1e5 samples keep their digits.
+
+    m <- m + (x - m)/n,   S <- S + (x - m_before)(x - m)
+    """
     count = moments.count + 1
     delta = value - moments.mean
     mean = moments.mean + delta / count
@@ -46,13 +53,18 @@ def mean(moments: Moments) -> Array:
 
 
 def variance(moments: Moments) -> Array:
-    """Population variance."""
+    """Population variance S / n, NaN without samples."""
     return moments.spread * per_sample(moments)
 
 
 def mean_square(moments: Moments) -> Array:
-    """Mean of the squares."""
+    """Mean of the squares, NaN without samples."""
     return variance(moments) + moments.mean**2
+
+
+def rms(moments: Moments) -> Array:
+    """Root of the mean of the squares, NaN without samples."""
+    return root(mean_square(moments))
 
 
 def root(value: Array) -> Array:
@@ -64,3 +76,40 @@ def root(value: Array) -> Array:
 def largest(moments: Moments) -> Array:
     """Largest magnitude, NaN without samples."""
     return moments.largest + 0 * per_sample(moments)
+
+
+def each_axis(setpoint: Setpoint) -> tuple[Array]:
+    """Shape of one signal (axes,), for `moments_of`."""
+    return (setpoint.position,)
+
+
+def one_number(setpoint: Setpoint) -> tuple[Array]:
+    """Shape of one scalar signal, for `moments_of`."""
+    return (setpoint.position[0],)
+
+
+def moments_of(
+    name: str,
+    signals: Callable[[Sample, float], tuple[Array, ...]],
+    report: Callable[..., Report],
+    like: Callable[[Setpoint], tuple[Array, ...]] = each_axis,
+) -> Metric[tuple[Moments, ...], Report]:
+    """The metric that keeps the moments of some signals.
+
+    Args:
+        name: of the metric.
+        signals: ``(sample, dt) -> signals`` of a period.
+        report: makes the report of the `Moments` of each of them.
+        like: ``setpoint -> arrays`` with the shapes and types of the signals.
+    """
+
+    def init(setpoint: Setpoint) -> tuple[Moments, ...]:
+        return tuple(empty(array) for array in like(setpoint))
+
+    def update(
+        acc: tuple[Moments, ...], sample: Sample, dt: float
+    ) -> tuple[tuple[Moments, ...], None]:
+        values = signals(sample, dt)
+        return tuple(add(m, value) for m, value in zip(acc, values, strict=True)), None
+
+    return Metric(name=name, init=init, update=update, finish=lambda acc: report(*acc))

@@ -1,10 +1,19 @@
-"""How the variance of a command spreads over frequency: exact, recorded or online.
+"""Spectra: periodogram of a command, amplitude spectrum of an error, recorded or online.
+
+Periodogram: how the variance of a command spreads over frequency,
 
     P_k = 2 |U_k|^2 / M^2,   U_k = sum_j (u_j - mean u) exp(-2 pi i j k / M),   f_k = k / (M dt)
 
 for k = 1 .. (M - 1)/2; the bin at half the sampling rate, if there is one, is not doubled. No
 window, so that the bins add up to the population variance. The variance above a frequency is what
 remains of it in a command that should be smooth: chattering, noise, quantisation.
+
+Amplitude spectrum: how large the oscillations of a signal are,
+
+    A_k = 2 |sum_j w_j (e_j - mean e) exp(-2 pi i j k / M)| / sum_j w_j
+
+w: periodic Hann window. A sine of a whole number of periods shows its amplitude in its own bin,
+and half of it in the two beside it.
 """
 
 import functools
@@ -14,6 +23,7 @@ from jax import Array
 
 from jaxstage.metrics import moments
 from jaxstage.metrics.moments import Moments
+from jaxstage.metrics.windows import recorded
 from jaxstage.model.blocks import Metric
 from jaxstage.model.fields import part, pytree, signal
 from jaxstage.model.signals import Sample, Setpoint
@@ -29,7 +39,7 @@ def periodogram(values: Array, dt: float) -> tuple[Array, Array]:
     power = 2 * (transform.real**2 + transform.imag**2) / count**2
     if count % 2 == 0:
         power = power.at[-1].divide(2)
-    return jnp.arange(power.shape[0]) / (count * dt), power
+    return jnp.arange(power.shape[0], dtype=float) / (count * dt), power
 
 
 def bins_up_to(cutoff: float, count: int, dt: float) -> int:
@@ -62,7 +72,9 @@ class HighFrequencySums:
 
 
 @functools.cache
-def high_frequency(cutoff: float, ticks: int, dt: float) -> Metric:
+def high_frequency(
+    cutoff: float, ticks: int, dt: float
+) -> Metric[HighFrequencySums, HighFrequency]:
     """`variance_above` of the command without recording it, over exactly ``ticks`` samples.
 
     The variance less the bins up to ``cutoff`` Hz, whose transforms are summed online. NaN where
@@ -104,9 +116,40 @@ def high_frequency(cutoff: float, ticks: int, dt: float) -> Metric:
 
 
 #: Stores the command of every tick, (ticks, axes), for `periodogram`. No report of its own.
-recorded_command = Metric(
-    name="recorded_command",
-    init=lambda setpoint: (),
-    update=lambda acc, sample, dt: (acc, sample.command),
-    finish=lambda acc: None,
-)
+recorded_command = recorded("recorded_command", lambda sample: sample.command)
+
+
+def amplitude_spectrum(values: Array, dt: float) -> tuple[Array, Array]:
+    """Frequencies in Hz, (bins,), and A_k, (bins, ...), of samples (M, ...) taken every dt s."""
+    count = values.shape[0]
+    window = (1 - jnp.cos(2 * jnp.pi * jnp.arange(count, dtype=float) / count)) / 2
+    window = window.astype(values.dtype).reshape(-1, *[1] * (values.ndim - 1))
+    centred = values - jnp.mean(values, axis=0, keepdims=True)
+    amplitude = 2 * jnp.abs(jnp.fft.rfft(window * centred, axis=0)) / jnp.sum(window)
+    return jnp.arange(amplitude.shape[0], dtype=float) / (count * dt), amplitude
+
+
+def chattering_amplitude(values: Array, dt: float, above: float = 50.0) -> Array:
+    """Largest amplitude (...) at or above a frequency in Hz, of samples (M, ...) every dt s.
+
+    Where nothing chatters, the bins just above the frequency belong to the spikes of reversals.
+    NaN where the samples have no such bin.
+    """
+    frequency, amplitude = amplitude_spectrum(values, dt)
+    high = (frequency >= above).reshape(-1, *[1] * (values.ndim - 1))
+    largest = jnp.max(jnp.where(high, amplitude, 0), axis=0)
+    return jnp.where(jnp.any(high), largest, jnp.nan)
+
+
+@pytree
+class DriveChattering:
+    """What the drives do at high frequency."""
+
+    drive_chattering: Array = signal(
+        "m", "", "largest amplitude of the following error from 50 Hz", shape="(axes,)", shown="um"
+    )
+
+
+def drive_chattering(error: Array, dt: float) -> DriveChattering:
+    """The metric of a recorded following error, (ticks, axes) m."""
+    return DriveChattering(drive_chattering=chattering_amplitude(error, dt))

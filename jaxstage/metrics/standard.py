@@ -9,8 +9,9 @@ from jax import Array
 from jaxstage.metrics.contour import contour, tangent_contour
 from jaxstage.metrics.effort import effort, saturation
 from jaxstage.metrics.energy import energy
-from jaxstage.metrics.sliding import sliding_figures
-from jaxstage.metrics.tracking import following, quadrant_glitch, tracking
+from jaxstage.metrics.glitch import quadrant_glitch
+from jaxstage.metrics.law_memory import sliding_metrics
+from jaxstage.metrics.tracking import following, tracking
 from jaxstage.metrics.windows import together
 from jaxstage.model.blocks import Metric
 
@@ -18,17 +19,20 @@ from jaxstage.model.blocks import Metric
 @functools.cache
 def standard(
     surface: Callable[[Any], Array] | None = None,
-    contours: tuple[Metric, ...] = (contour, tangent_contour),
-    extra: tuple[Metric, ...] = (),
+    contours: tuple[Metric[Any, Any], ...] = (contour, tangent_contour),
+    extra: tuple[Metric[Any, Any], ...] = (),
     cutoff: float = 100.0,
     reversal: float = 0.1,
-) -> Metric:
+) -> Metric[dict[str, Any], dict[str, Any]]:
     """Tracking, following and contour errors, quadrant glitch, effort, saturation, energy.
 
-    surface: picks the sliding variable (axes,) out of the controller's memory, for a law that
-    has one; adds its figures. contours: none for a single axis, which has no contour. extra:
-    what a system is judged by beside these. cutoff: of the chattering, Hz. reversal: time after a
-    reversal that belongs to its quadrant glitch, s.
+    Args:
+        surface: picks the sliding variable (axes,) out of the controller's memory, for a law that
+            has one; adds its metrics.
+        contours: none for a single axis, which has no contour.
+        extra: what a system is judged by beside these.
+        cutoff: of the chattering, Hz.
+        reversal: time after a reversal that belongs to its quadrant glitch, s.
     """
     metrics = (
         tracking,
@@ -39,4 +43,4 @@ def standard(
         saturation,
         energy,
     )
-    return together(*metrics, *((sliding_figures(surface),) if surface else ()), *extra)
+    return together(*metrics, *((sliding_metrics(surface),) if surface else ()), *extra)

@@ -96,9 +96,9 @@ def _finite(value: np.ndarray) -> float | None:
 
 def split_key(name: str) -> tuple[str, str]:
     """Name and unit of a key, for people: ``contour_rms_um`` -> (``contour rms``, ``um``)."""
-    found = _UNIT.search(name)
-    if not found:
+    suffix = _UNIT.search(name)
+    if not suffix:
         return name.replace("_", " "), ""
-    unit = found[1].replace("_per_", "/").replace("percent", "%")
+    unit = suffix[1].replace("_per_", "/").replace("percent", "%")
     unit = re.sub(r"^(N\d?)m", r"\1 m", unit)
-    return name[: found.start()].replace("_", " "), unit
+    return name[: suffix.start()].replace("_", " "), unit

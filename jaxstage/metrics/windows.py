@@ -1,18 +1,19 @@
-"""Combining metrics: several together, over a window of ticks, and recording."""
+"""Combinators of metrics: several together, over a window of ticks, and recording."""
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from jaxstage.model.blocks import Metric
+from jaxstage.model.blocks import Acc, Metric, Report
 from jaxstage.model.fields import replace
 from jaxstage.model.signals import Sample, Setpoint
 
 
 @functools.cache
-def together(*metrics: Metric) -> Metric:
+def together(*metrics: Metric[Any, Any]) -> Metric[dict[str, Any], dict[str, Any]]:
     """Several metrics in one pass. Report and rows are dicts keyed by the metrics' names.
 
     Raises ValueError when two metrics share a name.
@@ -37,7 +38,9 @@ def together(*metrics: Metric) -> Metric:
 
 
 @functools.cache
-def selected(metric: Metric, names: tuple[str, ...]) -> Metric:
+def selected(
+    metric: Metric[dict[str, Any], Report], names: tuple[str, ...]
+) -> Metric[dict[str, Any], Report]:
     """Only the named ones of metrics `together`; the others are not computed.
 
     Raises ValueError, when a run begins, for a name that is not among them.
@@ -54,12 +57,14 @@ def selected(metric: Metric, names: tuple[str, ...]) -> Metric:
 
 
 @functools.cache
-def windowed(metric: Metric, start: int, stop: int, name: str = "") -> Metric:
+def windowed(
+    metric: Metric[Acc, Report], start: int, stop: int, name: str = ""
+) -> Metric[Acc, Report]:
     """The metric over ticks start <= k < stop only. Raises ValueError for an empty window."""
     if not 0 <= start < stop:
         raise ValueError(f"a window needs 0 <= start < stop, got {start} and {stop}")
 
-    def update(acc: Any, sample: Sample, dt: float) -> tuple[Any, Any]:
+    def update(acc: Acc, sample: Sample, dt: float) -> tuple[Acc, Any]:
         inside = (sample.step >= start) & (sample.step < stop)
         after, row = metric.update(acc, sample, dt)
         return jax.tree.map(lambda new, old: jnp.where(inside, new, old), after, acc), row
@@ -67,17 +72,14 @@ def windowed(metric: Metric, start: int, stop: int, name: str = "") -> Metric:
     return Metric(name=name or metric.name, init=metric.init, update=update, finish=metric.finish)
 
 
-def _no_sums(setpoint: Setpoint) -> tuple[()]:
-    return ()
+def recorded(name: str, pick: Callable[[Sample], Any]) -> Metric[tuple[()], None]:
+    """Stores ``pick(sample)`` of every tick: memory grows with the length of the run. No report."""
+
+    def update(acc: tuple[()], sample: Sample, dt: float) -> tuple[tuple[()], Any]:
+        return acc, pick(sample)
+
+    return Metric(name=name, init=lambda setpoint: (), update=update, finish=lambda acc: None)
 
 
-def _keep_sample(acc: tuple[()], sample: Sample, dt: float) -> tuple[tuple[()], Sample]:
-    return acc, sample
-
-
-def _no_report(acc: tuple[()]) -> None:
-    return None
-
-
-#: Stores every `Sample`: memory grows with the length of the run. No report of its own.
-record = Metric(name="record", init=_no_sums, update=_keep_sample, finish=_no_report)
+#: Stores every `Sample`.
+record = recorded("record", lambda sample: sample)

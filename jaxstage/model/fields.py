@@ -14,8 +14,8 @@ import dataclasses
 import difflib
 import math
 import re
-from collections.abc import Callable, Iterator
-from typing import Any, TypeVar, dataclass_transform
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar, cast, dataclass_transform
 
 import jax
 
@@ -33,13 +33,22 @@ DISPLAY = {
 }
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Quantity:
     """What is always true of a field: role, unit, symbol, allowed range, shape, meaning.
 
-    low, high: inclusive bounds; above: exclusive lower bound; at_least: name of a sibling field
-    that this one may not fall below; infinite: inf is a valid value; shown: the display unit,
-    when it is not the SI unit. The unit ``command`` stands for the command unit of the plant.
+    Attributes:
+        role: ``gain``, ``param``, ``known`` or ``signal``.
+        unit: SI unit; ``command`` stands for the command unit of the plant.
+        symbol: of the source's equations.
+        doc: meaning, in a few words.
+        shape: ``()``, ``(axes,)``, ...; a word that is not ``axes`` is a size that the array sets.
+        low: inclusive lower bound.
+        above: exclusive lower bound.
+        high: inclusive upper bound.
+        at_least: name of a sibling field that this one may not fall below.
+        infinite: inf is a valid value.
+        shown: display unit.
     """
 
     role: str
@@ -86,17 +95,23 @@ def _quantity(role: str) -> Callable[..., Any]:
         if shown != unit and DISPLAY[shown][0] != unit:
             raise ValueError(f"cannot show {unit} as {shown}")
         quantity = Quantity(
-            role=role, unit=unit, symbol=symbol, doc=doc, shape=shape, low=low, above=above,
-            high=high, at_least=at_least, infinite=infinite, shown=shown,
-        )  # fmt: skip
+            role, unit, symbol, doc, shape, low, above, high, at_least, infinite, shown
+        )
         return dataclasses.field(metadata={"quantity": quantity})
 
     return field
 
 
+#: a field of a pytree that is tuned; arguments as the attributes of `Quantity`
 gain = _quantity("gain")
+
+#: a field of a pytree that is uncertain
 param = _quantity("param")
+
+#: a field of a pytree that a controller assumes about its plant
 known = _quantity("known")
+
+#: a field of a pytree that is computed
 signal = _quantity("signal")
 
 
@@ -122,7 +137,8 @@ def definition(cls: type[T]) -> type[T]:
 def replace(obj: T, **changes: Any) -> T:
     """A copy of a pytree, definition or `Case` with some fields changed.
 
-    Raises ValueError for a field that it does not have, with the nearest one.
+    Raises:
+        ValueError: it does not have such a field; with the nearest one.
     """
     names = getattr(obj, "_fields", None) or [f.name for f in dataclasses.fields(obj)]  # type: ignore[arg-type]
     for name in changes.keys() - set(names):
@@ -135,12 +151,14 @@ def replace(obj: T, **changes: Any) -> T:
 
 
 def in_units_of(quantity: Quantity, command_unit: str) -> Quantity:
-    """The quantity with the plant's command unit in place of the word ``command``: ``N/command``
-    is ``N/A`` or ``N/(N m)``."""
+    """The quantity with the plant's command unit in place of the word ``command``.
 
-    def power(found: re.Match[str]) -> str:
-        text = " ".join(factor + found[2] for factor in command_unit.split())
-        return f"/({text})" if found[1] and " " in text else found[1] + text
+    ``N/command`` is ``N/A`` or ``N/(N m)``.
+    """
+
+    def power(word: re.Match[str]) -> str:
+        text = " ".join(factor + word[2] for factor in command_unit.split())
+        return f"/({text})" if word[1] and " " in text else word[1] + text
 
     both = (quantity.unit, quantity.shown)
     unit, shown = (re.sub(r"(/?)command(\d*)", power, text) for text in both)
@@ -177,12 +195,20 @@ def map_leaves(function: Callable[[Quantity, Any], Any], tree: Any) -> Any:
         }
         return type(tree)(**changed)
     if isinstance(tree, tuple):
-        return tuple(map_leaves(function, value) for value in tree)
+        return tuple(map_leaves(function, value) for value in cast(tuple[Any, ...], tree))
     return tree
 
 
 def leaves(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity, Any]]:
-    """Every field with a unit below ``tree``: dotted path, quantity and value."""
+    """Every field with a unit below ``tree``, in order.
+
+    Args:
+        tree: pytree data, dicts, tuples and lists of them.
+        prefix: begins the names.
+
+    Yields:
+        Dotted name such as ``plant.friction.static``, quantity and value.
+    """
     if is_pytree_data(tree):
         units = quantities(tree)
         for f in dataclasses.fields(tree):
@@ -193,8 +219,8 @@ def leaves(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity, Any]]:
             else:
                 yield from leaves(value, path)
     elif isinstance(tree, dict):
-        for name, value in tree.items():
+        for name, value in cast(dict[Any, Any], tree).items():
             yield from leaves(value, f"{prefix}.{name}" if prefix else str(name))
     elif isinstance(tree, tuple | list):
-        for index, value in enumerate(tree):
+        for index, value in enumerate(cast(Sequence[Any], tree)):
             yield from leaves(value, f"{prefix}.{index}" if prefix else str(index))

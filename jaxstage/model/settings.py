@@ -1,12 +1,16 @@
-"""Settings by name: paths, symbols and suffixes to leaves; TOML to settings and back."""
+"""Settings by name: names, symbols and suffixes to leaves; TOML to settings and back.
+
+A setting is a leaf of gains, scenario or motion. Its full name is dotted, ``plant.mass``; any
+unique end of it will do, and the symbol in place of the field, ``plant.M``.
+"""
 
 import difflib
 import re
 import textwrap
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,17 +28,20 @@ MOTION = "reference"
 def known_leaves(
     gains: Any, scenario: Scenario, motion: Any = ()
 ) -> dict[str, tuple[Quantity, Any]]:
-    """Every setting of a loop: full path -> (quantity, value).
+    """Every setting of a loop: full name -> (quantity, value).
 
-    motion: the path. Where it is computed in the loop, its sizes are settings, ``reference.``; its
-    times follow from the timing of the case.
+    Args:
+        gains: of the controller.
+        scenario: of the run.
+        motion: parameters of the reference. Where it is computed in the loop, its sizes are
+            settings, ``reference.``; its times follow from the timing of the case.
     """
-    found = {path: (q, v) for path, q, v in leaves(gains, "gains")}
-    for name in SCENARIO_PARTS:
-        found |= {path: (q, v) for path, q, v in leaves(getattr(scenario, name), name)}
-    return found | {
-        path: (q, v)
-        for path, q, v in leaves(motion, MOTION)
+    known = {name: (q, v) for name, q, v in leaves(gains, "gains")}
+    for part in SCENARIO_PARTS:
+        known |= {name: (q, v) for name, q, v in leaves(getattr(scenario, part), part)}
+    return known | {
+        name: (q, v)
+        for name, q, v in leaves(motion, MOTION)
         if q.role != "signal" and q.unit == "m"
     }
 
@@ -42,19 +49,25 @@ def known_leaves(
 def resolve(
     name: str, known: Mapping[str, tuple[Quantity, Any]], other_names: tuple[str, ...] = ()
 ) -> str:
-    """The full path of a setting named by path, unique suffix, or symbol in place of its field.
+    """The full name of a setting, from its name, a unique end of it, or its symbol.
 
-    other_names: what else the user may have meant, for the hint. Raises ValueError for an
-    unknown name, with the nearest known one, and for an ambiguous one, with all it may mean.
+    Args:
+        name: as the user wrote it.
+        known: of `known_leaves`.
+        other_names: what else the user may have meant, for the hint.
+
+    Raises:
+        ValueError: the name is unknown, with the nearest known one, or ambiguous, with all it may
+            mean.
     """
     if name in known:
         return name
-    matches = []
-    for path, (quantity, _) in known.items():
-        stem = path.rpartition(".")[0]
-        spellings = (path, f"{stem}.{quantity.symbol}")
+    matches: list[str] = []
+    for full, (quantity, _) in known.items():
+        stem = full.rpartition(".")[0]
+        spellings = (full, f"{stem}.{quantity.symbol}")
         if any(s == name or s.endswith("." + name) for s in spellings):
-            matches.append(path)
+            matches.append(full)
     if len(matches) == 1:
         return matches[0]
     if matches:
@@ -65,14 +78,14 @@ def resolve(
 
 
 def _spellings(known: Mapping[str, tuple[Quantity, Any]]) -> list[str]:
-    names = []
-    for path, (quantity, _) in known.items():
-        stem, _, field = path.rpartition(".")
-        names += [path, field, f"{stem}.{quantity.symbol}"]
+    names: list[str] = []
+    for full, (quantity, _) in known.items():
+        stem, _, field = full.rpartition(".")
+        names += [full, field, f"{stem}.{quantity.symbol}"]
     return names
 
 
-def nearest_name(name: str, names: Any) -> str:
+def nearest_name(name: str, names: Iterable[str]) -> str:
     """``; did you mean 'x'?`` with the nearest of the names, or an empty text."""
     close = difflib.get_close_matches(name, list(names), n=1, cutoff=0.4)
     return f"; did you mean '{close[0]}'?" if close else ""
@@ -85,13 +98,24 @@ def apply(
     other_names: tuple[str, ...] = (),
     motion: Any = (),
 ) -> tuple[Any, Scenario, Any, tuple[str, ...]]:
-    """Gains, scenario and motion with settings (name -> number or nested list, SI) applied.
+    """Gains, scenario and motion with settings applied.
 
     A single number fills the leaf; a list of one number per axis is spread over the rest of it.
-    Returns also the full paths that were set. Raises ValueError naming a setting that is
-    unknown, ambiguous or of the wrong size.
+
+    Args:
+        gains: of the controller.
+        scenario: of the run.
+        settings: name -> number or nested list, SI.
+        other_names: what else the user may have meant, for the hint.
+        motion: parameters of the reference.
+
+    Returns:
+        Gains, scenario, motion, and the full names that were set.
+
+    Raises:
+        ValueError: a setting is unknown, ambiguous or of the wrong size.
     """
-    paths = []
+    paths: list[str] = []
     for name, value in settings.items():
         known = known_leaves(gains, scenario, motion)
         path = resolve(name, known, other_names)
@@ -106,7 +130,7 @@ def apply(
 
 
 def replaced(gains: Any, scenario: Scenario, path: str, value: Any) -> tuple[Any, Scenario]:
-    """Gains and scenario with the leaf at a full path replaced."""
+    """Gains and scenario with the leaf of a full name replaced."""
     root, _, rest = path.partition(".")
     if root == "gains":
         return with_leaf(gains, rest.split("."), value), scenario
@@ -127,7 +151,7 @@ def _fill(path: str, value: Any, old: Any) -> Any:
     elif array.ndim != len(shape):
         raise ValueError(f"{path} takes {_sizes(shape)}, got {array.size} numbers")
     try:
-        return jnp.asarray(np.broadcast_to(array, shape), dtype=jnp.result_type(old))
+        return jnp.asarray(np.broadcast_to(array, shape), dtype=jnp.result_type(old))  # pyright: ignore[reportUnknownMemberType]
     except ValueError:
         raise ValueError(f"{path} takes {_sizes(shape)}, got {array.size} numbers") from None
 
@@ -154,7 +178,10 @@ def with_leaf(tree: Any, names: list[str], value: Any) -> Any:
 class TomlFile(NamedTuple):
     """A TOML file, read once: a pipe gives its text only once.
 
-    values: dotted name -> value. text: what they were read from, for the line of an error.
+    Attributes:
+        file: where it stands.
+        text: what the values were read from, for the line of an error.
+        values: dotted name -> value.
     """
 
     file: Path
@@ -195,7 +222,11 @@ def _dotted(text: str) -> str:
 
 
 def read_toml(file: Path) -> TomlFile:
-    """Read a TOML file. Raises ValueError, one line with file and line number, where it cannot."""
+    """Read a TOML file.
+
+    Raises:
+        ValueError: it cannot be read; one line with file and line number.
+    """
     text = ""
     try:
         text = file.read_text(encoding="utf-8")
@@ -214,7 +245,8 @@ def _flat(table: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, value in table.items():
         path = f"{prefix}.{name}" if prefix else name
-        flat |= _flat(value, path) if isinstance(value, Mapping) else {path: value}
+        inner = cast(Mapping[str, Any], value) if isinstance(value, Mapping) else None
+        flat |= {path: value} if inner is None else _flat(inner, path)
     return flat
 
 
@@ -248,13 +280,13 @@ def plain_toml(table: Mapping[str, Any]) -> str:
     return _ROW.sub(_on_a_line, tomli_w.dumps(table))
 
 
-def _on_a_line(found: re.Match[str]) -> str:
-    indent, numbers = found["indent"], " ".join(found["numbers"].split()).removesuffix(",")
-    line = f"{indent}{found['key']}[{numbers}]"
+def _on_a_line(array: re.Match[str]) -> str:
+    indent, numbers = array["indent"], " ".join(array["numbers"].split()).removesuffix(",")
+    line = f"{indent}{array['key']}[{numbers}]"
     if len(line) < WIDTH:
         return line
-    rows = textwrap.fill(
-        numbers + ",", WIDTH - 1, initial_indent=f"{indent}    ",
-        subsequent_indent=f"{indent}    ", break_on_hyphens=False,
-    )  # fmt: skip
-    return f"{indent}{found['key']}[\n{rows}\n{indent}]"
+    deeper = f"{indent}    "
+    wrapper = textwrap.TextWrapper(
+        WIDTH - 1, initial_indent=deeper, subsequent_indent=deeper, break_on_hyphens=False
+    )
+    return f"{indent}{array['key']}[\n{wrapper.fill(numbers + ',')}\n{indent}]"

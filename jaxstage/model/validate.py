@@ -1,4 +1,12 @@
-"""What is refused before a run: shapes, types and ranges, each named with its allowed range."""
+"""Validation before a run: shapes, types and ranges, each refused with its name and allowed range.
+
+Layer one of three: what is refused here never starts. What goes wrong while a run goes on is marked
+in its `Carry`.
+"""
+
+# the types of JAX's tree functions are not complete
+# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownLambdaType=false, reportUnknownVariableType=false
 
 import functools
 from typing import Any
@@ -7,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from numpy.typing import NDArray
 
 from jaxstage.model.blocks import Loop, Plant, Reference, unlimited
 from jaxstage.model.fields import Quantity, in_units_of, leaves
@@ -21,9 +30,21 @@ def check(
 ) -> tuple[Any, Scenario, Any]:
     """Validate the inputs of a run and make every number a strong array of the path's type.
 
-    Values under a trace (``jit``, ``vmap``, ``grad``) are checked for shape only. in_axes: the
-    three trees of batch axes (0 or `SHARED` a leaf) of a batch of runs, None for one run. Raises
-    ValueError naming the value, where it stands and what is allowed.
+    Values under a trace (``jit``, ``vmap``, ``grad``) are checked for shape only.
+
+    Args:
+        loop: what is fixed.
+        gains: pytree of the controller's gains.
+        scenario: what is uncertain.
+        path: parameters of the reference, whose precision is that of the run.
+        in_axes: the three trees of batch axes (0 or `SHARED` a leaf) of a batch of runs, None for
+            one run.
+
+    Returns:
+        Gains, scenario and path, every leaf an array.
+
+    Raises:
+        ValueError: with the value, where it stands and what is allowed.
     """
     _check_kinds(loop, scenario)
     path = jax.tree.map(jnp.asarray, path)
@@ -35,11 +56,7 @@ def check(
     axes = loop.plant.axes
     if in_axes is None:
         in_axes = jax.tree.map(lambda _: SHARED, (gains, scenario, path))
-    one_path = jax.tree.map(
-        lambda x, a: x if a == SHARED else jax.ShapeDtypeStruct(x.shape[1:], x.dtype),
-        path, in_axes[2],
-    )  # fmt: skip
-    shapes, structure = jax.tree.flatten(one_path)
+    shapes, structure = jax.tree.flatten(jax.tree.map(_of_one_run, path, in_axes[2]))
     sampled = _sampled(loop.reference, structure, tuple((x.shape, x.dtype) for x in shapes))
     if sampled != (len(axes),):
         raise ValueError(
@@ -56,11 +73,21 @@ def check(
     return gains, scenario, path
 
 
+def _of_one_run(leaf: jax.Array, axis: int) -> jax.Array | jax.ShapeDtypeStruct:
+    return leaf if axis == SHARED else jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype)
+
+
+def _lanes(batch: Any) -> Any:
+    """The tree of batch axes as ``jax.vmap`` takes it."""
+    return jax.tree.map(lambda axis: None if axis == SHARED else axis, batch)
+
+
 @functools.cache
-def _sampled(reference: Reference, structure: Any, shapes: Any) -> tuple[int, ...]:
+def _sampled(
+    reference: Reference[Any], structure: Any, shapes: tuple[tuple[tuple[int, ...], Any], ...]
+) -> tuple[int, ...]:
     """The shape of the positions that a path of such leaves gives."""
-    leaves = [jax.ShapeDtypeStruct(*x) for x in shapes]
-    path = jax.tree.unflatten(structure, leaves)
+    path = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*x) for x in shapes])
     tick = jax.ShapeDtypeStruct((), jnp.int32)
     return jax.eval_shape(reference.sample, path, tick).position.shape
 
@@ -68,8 +95,10 @@ def _sampled(reference: Reference, structure: Any, shapes: Any) -> tuple[int, ..
 def float_type(tree: Any) -> Any:
     """The type of the first floating-point leaf, JAX's default without one.
 
-    The precision of a run is that of its path. Raises ValueError for double precision where JAX
-    does not have it.
+    The precision of a run is that of its path.
+
+    Raises:
+        ValueError: double precision where JAX does not have it.
     """
     default = jnp.zeros(()).dtype
     for leaf in jax.tree.leaves(tree):
@@ -86,7 +115,13 @@ def float_type(tree: Any) -> Any:
 def strong(tree: Any, dtype: Any, root: str = "input") -> Any:
     """The tree with Python numbers and floats as arrays of one type, so nothing retraces.
 
-    root: begins the names. Raises ValueError for what is no number.
+    Args:
+        tree: pytree of numbers, arrays and random keys.
+        dtype: type of the arrays; keys stay.
+        root: begins the names.
+
+    Raises:
+        ValueError: a leaf is no number.
     """
 
     def convert(place: Any, leaf: Any) -> Any:
@@ -114,8 +149,11 @@ def _check_period(loop: Loop, path: Any, batch: Any) -> None:
     if all(a == SHARED for a in jax.tree.leaves(batch)):
         period = loop.reference.period(path)
     else:
-        lanes = jax.tree.map(lambda a: None if a == SHARED else a, batch)
-        period = jax.vmap(lambda one: jnp.asarray(loop.reference.period(one)), (lanes,))(path)
+
+        def of_one(one: Any) -> jax.Array:
+            return jnp.asarray(loop.reference.period(one))
+
+        period = jax.vmap(of_one, (_lanes(batch),))(path)
     if isinstance(period, Tracer):
         return
     wrong = np.abs(np.asarray(period, float) / loop.dt - 1) > 1e-5
@@ -143,8 +181,7 @@ def _check_law(loop: Loop, gains: Any, batch: Any) -> None:
         if not sizes:
             limit = float(longest(gains))
         else:
-            lanes = jax.tree.map(lambda a: None if a == SHARED else a, batch)
-            limit = float(jnp.min(jax.vmap(longest, (lanes,))(gains)))
+            limit = float(jnp.min(jax.vmap(longest, (_lanes(batch),))(gains)))
     if loop.dt > limit * (1 + 1e-6):
         raise ValueError(
             f"loop.dt = {loop.dt:g} s: must be <= {limit:g} s, or {loop.controller.name} is "
@@ -172,12 +209,20 @@ def check_loop(loop: Loop) -> None:
             raise ValueError(f"loop.{name} = {getattr(loop, name)}: must be a whole number")
 
 
-def check_leaves(plant: Plant, tree: Any, root: str, batch: Any, per_axis: bool = False) -> None:
-    """Check shape and range of every field below ``tree``; ``root`` begins the names.
+def check_leaves(
+    plant: Plant[Any, Any], tree: Any, root: str, batch: Any, per_axis: bool = False
+) -> None:
+    """Check shape and range of every field below a tree.
 
-    plant: gives the names of the axes and the unit of the command. batch: the same tree with 0
-    where a leaf has a leading batch axis, else `SHARED`. per_axis: fields described for one axis
-    may carry a leading (axes,).
+    Args:
+        plant: gives the names of the axes and the unit of the command.
+        tree: gains, or a part of the scenario.
+        root: begins the names.
+        batch: the same tree with 0 where a leaf has a leading batch axis, else `SHARED`.
+        per_axis: fields described for one axis may carry a leading (axes,).
+
+    Raises:
+        ValueError: with the field, the run, the axis, its value and what is allowed.
     """
     axes = plant.axes
     values = {path: value for path, _, value in leaves(tree, root)}
@@ -199,8 +244,11 @@ def check_leaves(plant: Plant, tree: Any, root: str, batch: Any, per_axis: bool 
         if bad.any():
             if bad.ndim > array.ndim:
                 array = np.broadcast_to(array, bad.shape)
-            lanes = bad.ndim > len(shape)
-            raise ValueError(_message(path, quantity, array, bad, allowed, axes, lanes))
+            index = tuple(int(i) for i in np.argwhere(bad)[0])
+            run = f" of run {index[0]}" if bad.ndim > len(shape) else ""
+            first = 1 if run else 0
+            where = run + _place(index[first:], array.shape[first:], axes)
+            raise ValueError(_refusal(path + where, quantity, array[index], allowed))
 
 
 def _check_shape(
@@ -216,27 +264,24 @@ def _check_shape(
         raise ValueError(f"{path} has shape {shape}, expected {expected}")
 
 
-def _out_of_range(quantity: Quantity, array: np.ndarray) -> np.ndarray:
+def _out_of_range(quantity: Quantity, array: NDArray[Any]) -> NDArray[Any]:
     allowed = ~np.isnan(array) if quantity.infinite else np.isfinite(array)
     above = (array > quantity.above) | (quantity.above == -np.inf)
     return ~(allowed & above & (array >= quantity.low) & (array <= quantity.high))
 
 
-def _message(
-    path: str, quantity: Quantity, array: np.ndarray, bad: np.ndarray, allowed: str,
-    axes: tuple[str, ...], lanes: bool,
-) -> str:  # fmt: skip
-    index = tuple(int(i) for i in np.argwhere(bad)[0])
-    inner, sizes = (index[1:], array.shape[1:]) if lanes else (index, array.shape)
-    where = f" of run {index[0]}" if lanes else ""
-    if inner and sizes[0] == len(axes):
-        rest = "".join(f"[{i}]" for i in inner[1:])
-        where += f" ({axes[inner[0]]}){rest}"
-    elif inner:
-        where += f"{list(inner)}"
+def _place(index: tuple[int, ...], sizes: tuple[int, ...], axes: tuple[str, ...]) -> str:
+    """Where in the array of a field an element stands: its axis by name, else its index."""
+    if index and sizes[0] == len(axes):
+        return f" ({axes[index[0]]})" + "".join(f"[{i}]" for i in index[1:])
+    return f"{list(index)}" if index else ""
+
+
+def _refusal(path: str, quantity: Quantity, value: float, allowed: str) -> str:
+    """One line: the value of a field with its unit, and what is allowed."""
     symbol = f" [{quantity.symbol}]" if quantity.symbol else ""
     unit = "" if quantity.unit == "1" else f" {quantity.unit}"
-    return f"{path}{where}{symbol} = {array[index]:g}{unit}: must be {allowed}"
+    return f"{path}{symbol} = {value:g}{unit}: must be {allowed}"
 
 
 def _check_delay(loop: Loop, scenario: Scenario) -> None:

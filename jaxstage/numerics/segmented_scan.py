@@ -1,19 +1,34 @@
 """``lax.scan`` in checkpointed segments: less memory in reverse mode, the same values."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
+Carry = TypeVar("Carry")
+
 
 def segmented(
-    step: Callable[[Any, Any], tuple[Any, Any]], carry: Any, ticks: int, segment: int
-) -> tuple[Any, Any]:
-    """Scan over the ticks; in checkpointed segments, where ``segment`` is not 0."""
+    step: Callable[[Carry, None], tuple[Carry, Any]], carry: Carry, ticks: int, segment: int
+) -> tuple[Carry, Any]:
+    """``lax.scan`` over ticks, in checkpointed segments where ``segment`` is not 0.
 
-    def plain(carry: Any, length: int) -> tuple[Any, Any]:
+    Reverse mode then keeps the carry at the borders of the segments, and computes each segment
+    again.
+
+    Args:
+        step: ``(carry, None) -> (carry, row)``.
+        carry: what the first tick begins with.
+        ticks: number of steps.
+        segment: steps of a segment.
+
+    Returns:
+        The last carry, and the rows (ticks, ...).
+    """
+
+    def plain(carry: Carry, length: int) -> tuple[Carry, Any]:
         return lax.scan(step, carry, None, length=length)
 
     if not segment or segment >= ticks:

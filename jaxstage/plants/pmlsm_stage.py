@@ -21,11 +21,14 @@ import functools
 
 from jax import Array
 
+from jaxstage.model.array_types import PerAxis
 from jaxstage.model.blocks import ForceProfile, Plant
-from jaxstage.model.fields import param, pytree, signal
-from jaxstage.model.signals import Output, Power
+from jaxstage.model.fields import param, pytree
+from jaxstage.model.signals import Power
 from jaxstage.numerics.integrate import rk4
 from jaxstage.numerics.smooth import positive
+from jaxstage.plants.parts import rigid
+from jaxstage.plants.parts.rigid import RigidState
 
 AXES = "(axes,)"
 
@@ -40,44 +43,23 @@ class PmlsmStage:
     resistance: Array = param("ohm", "R", "phase resistance", shape=AXES, low=0.0)
 
 
-@pytree
-class StageState:
-    """State of the stage."""
-
-    position: Array = signal("m", "p", "position", shape=AXES, shown="mm")
-    velocity: Array = signal("m/s", "v", "velocity", shape=AXES, shown="mm/s")
-
-
-def slope(params: PmlsmStage, state: StageState, current: Array, force: Array) -> StageState:
+def slope(params: PmlsmStage, state: RigidState, current: PerAxis, force: PerAxis) -> RigidState:
     """The equation of motion: (p', v') under a current in A and an external force in N."""
     push = params.force_constant * current - params.damping * state.velocity - force
-    return StageState(position=state.velocity, velocity=push / params.mass)
-
-
-def _init(params: PmlsmStage, output: Output) -> StageState:
-    return StageState(position=output.position, velocity=output.velocity)
+    return RigidState(position=state.velocity, velocity=push / params.mass)
 
 
 def _step(
-    params: PmlsmStage, state: StageState, applied: Array, force: ForceProfile, dt: float
-) -> StageState:
+    params: PmlsmStage, state: RigidState, applied: PerAxis, force: ForceProfile, dt: float
+) -> RigidState:
     return rk4(lambda s, fraction: slope(params, s, applied, force(fraction)), state, dt)
-
-
-def _observe(params: PmlsmStage, state: StageState) -> Output:
-    return Output(
-        position=state.position,
-        velocity=state.velocity,
-        drive_position=state.position,
-        drive_velocity=state.velocity,
-    )
 
 
 def _power(
     params: PmlsmStage,
-    before: StageState,
-    after: StageState,
-    applied: Array,
+    before: RigidState,
+    after: RigidState,
+    applied: PerAxis,
     force: ForceProfile,
     dt: float,
 ) -> Power:
@@ -103,26 +85,26 @@ def _power(
     )
 
 
-def _simpson(values: list[Array]) -> Array:
+def _simpson(values: list[PerAxis]) -> PerAxis:
     """Mean over the step from its start, middle and end."""
     return (values[0] + 4 * values[1] + values[2]) / 6
 
 
-def _stored(params: PmlsmStage, state: StageState) -> Array:
+def _stored(params: PmlsmStage, state: RigidState) -> PerAxis:
     """Kinetic energy M v^2 / 2 of each axis, in J."""
     return params.mass * state.velocity**2 / 2
 
 
 @functools.cache
-def pmlsm_stage(axes: tuple[str, ...] = ("x", "y", "z")) -> Plant:
+def pmlsm_stage(axes: tuple[str, ...] = ("x", "y", "z")) -> Plant[PmlsmStage, RigidState]:
     """The stage with the named axes."""
     return Plant(
         name="pmlsm_stage",
         axes=axes,
         command_unit="A",
-        init=_init,
+        init=rigid.init,
         step=_step,
-        observe=_observe,
+        observe=rigid.observe,
         power=_power,
         stored=_stored,
     )

@@ -20,11 +20,13 @@ import functools
 import jax.numpy as jnp
 from jax import Array
 
+from jaxstage.model.array_types import PerAxis
 from jaxstage.model.blocks import ForceProfile, Plant
 from jaxstage.model.fields import param, pytree, signal
 from jaxstage.model.signals import Output, Power
 from jaxstage.numerics.smooth import DryFriction, play, positive, sticking
 from jaxstage.plants.parts.friction import FrictionLaw
+from jaxstage.plants.parts.rigid import one_body
 
 N_PER_A = "N/A"
 AXES = "(axes,)"
@@ -57,7 +59,7 @@ class TableState:
     current: Array = signal("A", "w", "current that acts, behind the backlash", shape=AXES)
 
 
-def dry_limit(params: PmsmTable, velocity: Array) -> Array:
+def dry_limit(params: PmsmTable, velocity: PerAxis) -> PerAxis:
     """F_c + (F_s - F_c) exp(-(v/v_s)^2): the largest dry friction force at a velocity, in N."""
     fading = jnp.exp(-((velocity / params.stribeck) ** 2))
     return params.coulomb + (params.static - params.coulomb) * fading
@@ -67,7 +69,7 @@ def dry_limit(params: PmsmTable, velocity: Array) -> Array:
 stribeck = FrictionLaw(name="stribeck", limit=dry_limit)
 
 
-def friction_force(params: PmsmTable, velocity: Array) -> Array:
+def friction_force(params: PmsmTable, velocity: PerAxis) -> PerAxis:
     """F_f(v), equation (2) without K_v v, in N; velocity in m/s."""
     return dry_limit(params, velocity) * jnp.sign(velocity)
 
@@ -81,7 +83,9 @@ def init(params: PmsmTable, output: Output) -> TableState:
     )
 
 
-def _driven(params: PmsmTable, state: TableState, applied: Array, external: Array, dt: float):
+def _driven(
+    params: PmsmTable, state: TableState, applied: PerAxis, external: PerAxis, dt: float
+) -> tuple[PerAxis, PerAxis]:
     """Current behind the backlash, and the speed that the axis would have without dry friction."""
     current = play(state.current, applied, params.backlash)
     push = params.force_constant * current - params.load - external
@@ -90,15 +94,10 @@ def _driven(params: PmsmTable, state: TableState, applied: Array, external: Arra
 
 def observe(params: PmsmTable, state: TableState) -> Output:
     """Tool and drive are one body."""
-    return Output(
-        position=state.position,
-        velocity=state.velocity,
-        drive_position=state.position,
-        drive_velocity=state.velocity,
-    )
+    return one_body(state.position, state.velocity)
 
 
-def stored(params: PmsmTable, state: TableState) -> Array:
+def stored(params: PmsmTable, state: TableState) -> PerAxis:
     """Kinetic energy M v^2 / 2 of each axis, in J."""
     return params.mass * state.velocity**2 / 2
 
@@ -108,14 +107,14 @@ def pmsm_table(
     axes: tuple[str, ...] = ("x", "y"),
     friction: DryFriction = sticking,
     law: FrictionLaw = stribeck,
-) -> Plant:
+) -> Plant[PmsmTable, TableState]:
     """The table with the named axes; friction `sticking`, or `creeping` as a smooth surrogate.
 
     law: how large dry friction can be.
     """
 
     def step(
-        params: PmsmTable, state: TableState, applied: Array, force: ForceProfile, dt: float
+        params: PmsmTable, state: TableState, applied: PerAxis, force: ForceProfile, dt: float
     ) -> TableState:
         current, free = _driven(params, state, applied, force(0.5), dt)
         limit = dt * law.limit(params, state.velocity) / params.mass
@@ -128,7 +127,7 @@ def pmsm_table(
         params: PmsmTable,
         before: TableState,
         after: TableState,
-        applied: Array,
+        applied: PerAxis,
         force: ForceProfile,
         dt: float,
     ) -> Power:

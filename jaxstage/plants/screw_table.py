@@ -28,13 +28,16 @@ import functools
 import jax.numpy as jnp
 from jax import Array
 
+from jaxstage.model.array_types import PerAxis
 from jaxstage.model.blocks import ForceProfile, Plant
 from jaxstage.model.fields import param, part, pytree, signal
-from jaxstage.model.signals import Output, Power
+from jaxstage.model.signals import Power
 from jaxstage.numerics.integrate import rk4
 from jaxstage.plants.parts import motor as motors
+from jaxstage.plants.parts import rigid
 from jaxstage.plants.parts.friction import CreepingFriction, friction_force
 from jaxstage.plants.parts.motor import Motor
+from jaxstage.plants.parts.rigid import RigidState
 
 AXES = "(axes,)"
 
@@ -53,14 +56,6 @@ class ScrewTable:
 
 
 @pytree
-class ScrewState:
-    """State of the table."""
-
-    position: Array = signal("m", "x", "position", shape=AXES, shown="mm")
-    velocity: Array = signal("m/s", "v", "velocity", shape=AXES, shown="mm/s")
-
-
-@pytree
 class _Step:
     """What is integrated over a step; the last three start from 0."""
 
@@ -71,37 +66,32 @@ class _Step:
     load: Array = signal("J", "", "work of bias and external load", shape=AXES)
 
 
-def _turns(params: ScrewTable) -> Array:
+def _turns(params: ScrewTable) -> PerAxis:
     """k = 2 pi / p: rotation per travel, rad/m."""
     return 2 * jnp.pi / params.pitch
 
 
-def inertia(params: ScrewTable) -> Array:
+def inertia(params: ScrewTable) -> PerAxis:
     """J = m + k^2 n: what the motor moves, as a mass in kg."""
     return params.mass + _turns(params) ** 2 * params.motor.inertia
 
 
-def viscosity(params: ScrewTable) -> Array:
+def viscosity(params: ScrewTable) -> PerAxis:
     """B = c + k^2 h: viscous damping of table and motor, N s/m."""
     return params.damping + _turns(params) ** 2 * params.motor.damping
 
 
-def force_constant(params: ScrewTable) -> Array:
+def force_constant(params: ScrewTable) -> PerAxis:
     """K = k k_t: force per current, N/A."""
     return _turns(params) * params.motor.torque_constant
 
 
-def init(params: ScrewTable, output: Output) -> ScrewState:
-    """Start at the given output."""
-    return ScrewState(position=output.position, velocity=output.velocity)
-
-
-def _current(params: ScrewTable, state: ScrewState, applied: Array) -> Array:
+def _current(params: ScrewTable, state: RigidState, applied: PerAxis) -> PerAxis:
     return motors.current(params.motor, applied, _turns(params) * state.velocity)
 
 
 def _advance(
-    params: ScrewTable, state: ScrewState, applied: Array, force: ForceProfile, dt: float
+    params: ScrewTable, state: RigidState, applied: PerAxis, force: ForceProfile, dt: float
 ) -> _Step:
     push = force_constant(params) * _current(params, state, applied)
     mass, viscous, turns = inertia(params), viscosity(params), _turns(params)
@@ -126,24 +116,14 @@ def _advance(
 
 
 def step(
-    params: ScrewTable, state: ScrewState, applied: Array, force: ForceProfile, dt: float
-) -> ScrewState:
+    params: ScrewTable, state: RigidState, applied: PerAxis, force: ForceProfile, dt: float
+) -> RigidState:
     """One Runge-Kutta step with the current held."""
     after = _advance(params, state, applied, force, dt)
-    return ScrewState(position=after.position, velocity=after.velocity)
+    return RigidState(position=after.position, velocity=after.velocity)
 
 
-def observe(params: ScrewTable, state: ScrewState) -> Output:
-    """Table and screw are one body."""
-    return Output(
-        position=state.position,
-        velocity=state.velocity,
-        drive_position=state.position,
-        drive_velocity=state.velocity,
-    )
-
-
-def stored(params: ScrewTable, state: ScrewState) -> Array:
+def stored(params: ScrewTable, state: RigidState) -> PerAxis:
     """Kinetic energy, and the potential of the ripple, of each axis in J."""
     turns = _turns(params)
     potential = params.ripple / turns * (1 - jnp.cos(turns * state.position))
@@ -151,9 +131,13 @@ def stored(params: ScrewTable, state: ScrewState) -> Array:
 
 
 def power(
-    params: ScrewTable, before: ScrewState, after: ScrewState, applied: Array,
-    force: ForceProfile, dt: float,
-) -> Power:  # fmt: skip
+    params: ScrewTable,
+    before: RigidState,
+    after: RigidState,
+    applied: PerAxis,
+    force: ForceProfile,
+    dt: float,
+) -> Power:
     """Mean power of a step.
 
     copper R_a i^2; mechanical K i times the distance made; drawn: both together, plus what was
@@ -177,15 +161,15 @@ def power(
 
 
 @functools.cache
-def screw_table(axes: tuple[str, ...] = ("x", "y")) -> Plant:
+def screw_table(axes: tuple[str, ...] = ("x", "y")) -> Plant[ScrewTable, RigidState]:
     """The table with the named axes."""
     return Plant(
         name="screw_table",
         axes=axes,
         command_unit="V",
-        init=init,
+        init=rigid.init,
         step=step,
-        observe=observe,
+        observe=rigid.observe,
         power=power,
         stored=stored,
     )

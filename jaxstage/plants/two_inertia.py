@@ -41,6 +41,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 from jax import Array
 
+from jaxstage.model.array_types import PerAxis
 from jaxstage.model.blocks import ForceProfile, Plant
 from jaxstage.model.fields import definition, param, part, pytree, signal
 from jaxstage.model.signals import Output, Power
@@ -84,25 +85,27 @@ class TwoInertiaState:
 
 
 @definition
-class Side:
+class FrictionSide:
     """Which of the two bodies rubs.
 
-    order(motor, load) -> (rubbing, other), and by the same exchange back again.
+    Attributes:
+        name: of the body.
+        order: ``(motor, load) -> (rubbing, other)``, and by the same exchange back again.
     """
 
     name: str
-    order: Callable[[Array, Array], tuple[Array, Array]]
+    order: Callable[[PerAxis, PerAxis], tuple[PerAxis, PerAxis]]
 
 
 #: Friction on the guideway: the load rubs.
-on_load = Side(name="load", order=lambda motor, load: (load, motor))
+on_load = FrictionSide(name="load", order=lambda motor, load: (load, motor))
 
 #: Friction in the bearings of the motor.
-on_motor = Side(name="motor", order=lambda motor, load: (motor, load))
+on_motor = FrictionSide(name="motor", order=lambda motor, load: (motor, load))
 
 
 def slope(
-    side: Side, params: TwoInertia, state: TwoInertiaState, torque: Array, force: Array
+    side: FrictionSide, params: TwoInertia, state: TwoInertiaState, torque: PerAxis, force: PerAxis
 ) -> TwoInertiaState:
     """The equations of motion. torque: u in N m; force: on the tool in N, positive against +x."""
     rubbing, _ = side.order(state.motor_speed, state.load_speed)
@@ -121,7 +124,12 @@ def slope(
 
 
 def _implicit_euler(
-    side: Side, params: TwoInertia, base: TwoInertiaState, torque: Array, force: Array, dt: float
+    side: FrictionSide,
+    params: TwoInertia,
+    base: TwoInertiaState,
+    torque: PerAxis,
+    force: PerAxis,
+    dt: float,
 ) -> TwoInertiaState:
     """y = base + dt slope(y): the other body is eliminated, the rubbing one is a quadratic.
 
@@ -151,18 +159,27 @@ def _implicit_euler(
 
 @definition
 class Integration:
-    """How a step is made: advance(side, params, state, torque, force profile, dt) -> state."""
+    """How a step is made.
+
+    Attributes:
+        name: of the method.
+        advance: ``(side, params, state, torque, force profile, dt) -> state``.
+    """
 
     name: str
     advance: Callable[
-        [Side, TwoInertia, TwoInertiaState, Array, ForceProfile, float], TwoInertiaState
+        [FrictionSide, TwoInertia, TwoInertiaState, PerAxis, ForceProfile, float], TwoInertiaState
     ]
 
 
 def _advance_implicit(
-    side: Side, params: TwoInertia, state: TwoInertiaState, torque: Array,
-    force: ForceProfile, dt: float,
-) -> TwoInertiaState:  # fmt: skip
+    side: FrictionSide,
+    params: TwoInertia,
+    state: TwoInertiaState,
+    torque: PerAxis,
+    force: ForceProfile,
+    dt: float,
+) -> TwoInertiaState:
     def stage(base: TwoInertiaState, h: float, fraction: float) -> TwoInertiaState:
         return _implicit_euler(side, params, base, torque, force(fraction), h)
 
@@ -170,9 +187,13 @@ def _advance_implicit(
 
 
 def _advance_explicit(
-    side: Side, params: TwoInertia, state: TwoInertiaState, torque: Array,
-    force: ForceProfile, dt: float,
-) -> TwoInertiaState:  # fmt: skip
+    side: FrictionSide,
+    params: TwoInertia,
+    state: TwoInertiaState,
+    torque: PerAxis,
+    force: ForceProfile,
+    dt: float,
+) -> TwoInertiaState:
     return rk4(lambda s, fraction: slope(side, params, s, torque, force(fraction)), state, dt)
 
 
@@ -202,7 +223,7 @@ def _observe(params: TwoInertia, state: TwoInertiaState) -> Output:
     )
 
 
-def _stored(params: TwoInertia, state: TwoInertiaState) -> Array:
+def _stored(params: TwoInertia, state: TwoInertiaState) -> PerAxis:
     """J_1 w_1^2/2 + J_2 w_2^2/2 + K (th_1 - th_2)^2/2 + sigma_0 z^2/2 of each axis, in J."""
     kinetic = (
         params.motor_inertia * state.motor_speed**2 + params.load_inertia * state.load_speed**2
@@ -213,24 +234,30 @@ def _stored(params: TwoInertia, state: TwoInertiaState) -> Array:
 
 @functools.cache
 def two_inertia(
-    axes: tuple[str, ...] = ("x",), side: Side = on_load, integration: Integration = implicit
-) -> Plant:
+    axes: tuple[str, ...] = ("x",),
+    side: FrictionSide = on_load,
+    integration: Integration = implicit,
+) -> Plant[TwoInertia, TwoInertiaState]:
     """The drive with the named axes; friction `on_load` or `on_motor`, `implicit` or `explicit`."""
 
     def step(
-        params: TwoInertia, state: TwoInertiaState, applied: Array, force: ForceProfile, dt: float
+        params: TwoInertia, state: TwoInertiaState, applied: PerAxis, force: ForceProfile, dt: float
     ) -> TwoInertiaState:
         return integration.advance(side, params, state, applied, force, dt)
 
-    def losses(params: TwoInertia, state: TwoInertiaState) -> Array:
+    def losses(params: TwoInertia, state: TwoInertiaState) -> PerAxis:
         rubbing, _ = side.order(state.motor_speed, state.load_speed)
         twisting = params.damping * (state.motor_speed - state.load_speed) ** 2
         return twisting + dissipated(params.friction, rubbing, state.bristle)
 
     def power(
-        params: TwoInertia, before: TwoInertiaState, after: TwoInertiaState, applied: Array,
-        force: ForceProfile, dt: float,
-    ) -> Power:  # fmt: skip
+        params: TwoInertia,
+        before: TwoInertiaState,
+        after: TwoInertiaState,
+        applied: PerAxis,
+        force: ForceProfile,
+        dt: float,
+    ) -> Power:
         """copper k u^2; mechanical u dth_1/dt, exact; dissipated and load by the trapezoidal rule.
 
         drawn max(copper + mechanical, 0): no regeneration.

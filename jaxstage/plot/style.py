@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from jaxstage.metrics.tracking import direction
+from jaxstage.metrics.glitch import direction
 from jaxstage.plot.numbers import envelope
 from jaxstage.plot.page import LARGE as LARGE
 from jaxstage.plot.page import NORMAL as NORMAL

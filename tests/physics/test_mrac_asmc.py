@@ -21,7 +21,7 @@ from jaxstage.controllers import (
 from jaxstage.controllers.adaptive_sliding import adaptive_sliding, sampled_gain, switch
 from jaxstage.hardware.sensors import Encoder, encoder, ideal_sensor, motor_side
 from jaxstage.metrics import drive, drive_following, quadrant_glitch, record, together
-from jaxstage.metrics.amplitude import amplitude_spectrum, chattering_amplitude
+from jaxstage.metrics.spectrum import amplitude_spectrum, chattering_amplitude
 from jaxstage.model.fields import replace
 from jaxstage.model.signals import Output
 from jaxstage.numerics.smooth import SmoothWidth, smooth

@@ -8,7 +8,7 @@ import pytest
 from jaxstage.model.fields import replace
 from jaxstage.model.signals import Output
 from jaxstage.model.validate import check_leaves
-from jaxstage.plants import ScrewState, screw_table
+from jaxstage.plants import RigidState, screw_table
 from jaxstage.plants.parts.friction import friction_force
 from jaxstage.plants.screw_table import force_constant, inertia, viscosity
 from jaxstage.studies.adaptive_smc import values
@@ -144,7 +144,7 @@ def test_ledger_notices_one_percent(term):
 def test_ripple_is_no_loss():
     """Without friction and damping the table swings in the potential of the ripple for ever."""
     quiet = motor(replace(FREE, damping=two(0.0), ripple=two(5e4)), damping=0.0)
-    begin = ScrewState(position=two(1e-3), velocity=two(0.0))
+    begin = RigidState(position=two(1e-3), velocity=two(0.0))
     end, _, _ = march(quiet, begin, held(two(0.0)), two(0.0), 1e-3, 400, jnp.ones(3))
     assert (jnp.abs(end.position - begin.position) > 1e-4).all()
     np.testing.assert_allclose(PLANT.stored(quiet, end), PLANT.stored(quiet, begin), rtol=1e-7)

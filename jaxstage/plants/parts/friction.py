@@ -19,6 +19,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
+from jaxstage.model.array_types import PerAxis
 from jaxstage.model.fields import definition, param, pytree
 
 AXES = "(axes,)"
@@ -30,7 +31,7 @@ class FrictionLaw:
     the machine and the velocity (axes,) in m/s."""
 
     name: str
-    limit: Callable[[Any, Array], Array]
+    limit: Callable[[Any, PerAxis], PerAxis]
 
 
 @pytree
@@ -45,7 +46,7 @@ class CreepingFriction:
     width: Array = param("m/s", "w", "speed at which it has set in", shape=AXES, above=0.0)
 
 
-def friction_force(params: CreepingFriction, velocity: Array) -> Array:
+def friction_force(params: CreepingFriction, velocity: PerAxis) -> PerAxis:
     """F_f(v) in N, against the motion; velocity in m/s."""
     fading = jnp.exp(-((velocity / params.stribeck) ** 2))
     limit = params.coulomb + (params.static - params.coulomb) * fading

@@ -22,6 +22,7 @@ equation (3); the implicit step is derived here.
 import jax.numpy as jnp
 from jax import Array
 
+from jaxstage.model.array_types import PerAxis
 from jaxstage.model.fields import param, pytree
 from jaxstage.numerics.smooth import magnitude, sign
 
@@ -47,19 +48,19 @@ class Lugre:
     viscous: Array = param("N m s/rad", "sigma_2", "viscous friction", shape=AXES, low=0.0)
 
 
-def level(params: Lugre, speed: Array) -> Array:
+def level(params: Lugre, speed: PerAxis) -> PerAxis:
     """s(v): the friction torque of slow steady sliding, in N m. speed: rad/s."""
     fading = jnp.exp(-((speed / params.stribeck) ** 2))
     return params.coulomb + (params.static - params.coulomb) * fading
 
 
-def bristle_rate(params: Lugre, speed: Array, bristle: Array) -> Array:
+def bristle_rate(params: Lugre, speed: PerAxis, bristle: PerAxis) -> PerAxis:
     """z' in rad/s. speed: rad/s; bristle: z in rad."""
     slipping = params.bristle_stiffness * magnitude(speed) / level(params, speed)
     return speed - slipping * bristle
 
 
-def friction_torque(params: Lugre, speed: Array, bristle: Array) -> Array:
+def friction_torque(params: Lugre, speed: PerAxis, bristle: PerAxis) -> PerAxis:
     """F in N m, against the motion."""
     return (
         params.bristle_stiffness * bristle
@@ -68,7 +69,7 @@ def friction_torque(params: Lugre, speed: Array, bristle: Array) -> Array:
     )
 
 
-def dissipated(params: Lugre, speed: Array, bristle: Array) -> Array:
+def dissipated(params: Lugre, speed: PerAxis, bristle: PerAxis) -> PerAxis:
     """F v - d/dt (sigma_0 z^2 / 2) in W: what friction turns into heat."""
     rate = bristle_rate(params, speed, bristle)
     elastic = params.bristle_stiffness * bristle * (speed - rate)
@@ -76,8 +77,8 @@ def dissipated(params: Lugre, speed: Array, bristle: Array) -> Array:
 
 
 def implicit_step(
-    params: Lugre, inertia: Array, push: Array, bristle: Array, guess: Array, dt: float
-) -> tuple[Array, Array]:
+    params: Lugre, inertia: PerAxis, push: PerAxis, bristle: PerAxis, guess: PerAxis, dt: float
+) -> tuple[PerAxis, PerAxis]:
     """Speed and bristle after an implicit Euler step of a body under this friction.
 
     M v + h F = p,   z = z_0 + h z' = (z_0 + h v) / (1 + a |v|),   a = h sigma_0 / s

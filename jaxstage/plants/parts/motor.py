@@ -20,6 +20,7 @@ substep, and the inductance as nothing; a lag is the business of the drive.
 import jax.numpy as jnp
 from jax import Array
 
+from jaxstage.model.array_types import PerAxis
 from jaxstage.model.fields import param, pytree
 from jaxstage.numerics.smooth import clamp, positive
 
@@ -43,20 +44,20 @@ class Motor:
     )
 
 
-def current(motor: Motor, command: Array, speed: Array) -> Array:
+def current(motor: Motor, command: PerAxis, speed: PerAxis) -> PerAxis:
     """i in A within the supply voltage. command: V; speed: rad/s, both (axes,).
 
     Without resistance the voltage says nothing about the current, which is then g_a u.
     """
-    asked = motor.amplifier_gain * command
+    linear = motor.amplifier_gain * command
     resists = motor.resistance > 0
     safe = jnp.where(resists, motor.resistance, jnp.ones_like(motor.resistance))
     emf = motor.torque_constant * speed
-    limited = (clamp(safe * asked + emf, motor.supply_voltage) - emf) / safe
-    reached = resists & (jnp.abs(safe * asked + emf) > motor.supply_voltage)
-    return jnp.where(reached, limited, asked)
+    limited = (clamp(safe * linear + emf, motor.supply_voltage) - emf) / safe
+    reached = resists & (jnp.abs(safe * linear + emf) > motor.supply_voltage)
+    return jnp.where(reached, limited, linear)
 
 
-def returned(motor: Motor, flowing: Array, speed: Array) -> Array:
+def returned(motor: Motor, flowing: PerAxis, speed: PerAxis) -> PerAxis:
     """max(-P, 0) in W: electrical power that a braking motor gives back at an instant."""
     return positive(-(motor.resistance * flowing**2 + motor.torque_constant * flowing * speed))

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxstage.hardware.loads import CouplingLoad, SineLoad, all_loads, coupling_load, sine_load
 from jaxstage.metrics import contour as contour_error
-from jaxstage.metrics import effort, sliding_figures, together, tracking, windowed
+from jaxstage.metrics import effort, sliding_metrics, together, tracking, windowed
 from jaxstage.model.fields import replace
 from jaxstage.studies.case import Case, Timing, scored, with_metric
 from jaxstage.studies.evidence import Evidence
@@ -42,7 +42,7 @@ def _laps(name: str, contour: str) -> Case:
     chosen = law(name)
     case = build(chosen, contour, FINE)
     assert chosen.surface is not None
-    lap, sliding = case.window.lap, sliding_figures(chosen.surface)
+    lap, sliding = case.window.lap, sliding_metrics(chosen.surface)
     both = together(tracking, contour_error)
     parts = (
         windowed(tracking, 0, lap, name="first lap"),

@@ -28,15 +28,15 @@ from jaxstage.hardware.sensors import encoder, ideal_sensor, motor_side
 from jaxstage.metrics import (
     adapted,
     drive,
+    drive_chattering,
     drive_following,
     quadrant_glitch,
     recorded_drive_error,
     standard,
 )
-from jaxstage.metrics.amplitude import drive_chattering
 from jaxstage.model.blocks import Controller, Loop, Metric
 from jaxstage.plants import on_load, on_motor, two_inertia
-from jaxstage.plants.two_inertia import Side
+from jaxstage.plants.two_inertia import FrictionSide
 from jaxstage.references import swing, swinging
 from jaxstage.studies.case import Case, Timing, check_timing, scored, window
 from jaxstage.studies.law import StudyLaw, named
@@ -157,7 +157,7 @@ class Version(NamedTuple):
 
     suffix: str
     summary: str
-    side: Side
+    side: FrictionSide
     rough: bool
 
 

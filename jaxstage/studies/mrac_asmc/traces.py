@@ -23,9 +23,14 @@ from jaxstage.controllers import (
     sliding,
 )
 from jaxstage.controllers.parts.input_sign import InputSign, forward
-from jaxstage.metrics import drive, quadrant_glitch, together, windowed
-from jaxstage.metrics.amplitude import amplitude_spectrum
-from jaxstage.metrics.drive import drive_error
+from jaxstage.metrics import (
+    amplitude_spectrum,
+    drive,
+    drive_error,
+    quadrant_glitch,
+    together,
+    windowed,
+)
 from jaxstage.model.blocks import Controller, Metric
 from jaxstage.model.fields import replace
 from jaxstage.model.signals import Sample
