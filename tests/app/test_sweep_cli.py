@@ -209,7 +209,7 @@ WRONG = {
         "unknown column 'contour_mx_um'; did you mean 'contour_max_um'",
     ),
     "spec": (["sweep", "pi-circle", "--spec", "contour_max_um <", "--out", "new"], "at character"),
-    "metric": (["sweep", "pi-circle", "--metric", "ate", "--out", "new"], "no such figure"),
+    "metric": (["sweep", "pi-circle", "--metric", "ate", "--out", "new"], "no such metric"),
     "target": (["sweep", "pi-circle", "--target", "0.9", "--out", "new"], "needs a --spec"),
     "target 2": (
         ["sweep", "pi-circle", "--target", "2", "--spec", "finite", "--out", "new"],
@@ -279,7 +279,7 @@ WRONG = {
     ),
     "metric is a plant": (
         ["sweep", "pi-circle", "--metric", "plant_mass_x_kg", "--out", "new"],
-        "no such figure",
+        "no such metric",
     ),
 }
 

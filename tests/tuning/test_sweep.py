@@ -25,6 +25,7 @@ from tuning.sweeps import replays, store
 from tuning.sweeps.analysis import Question, analyse
 from tuning.sweeps.cluster import _told, local_workers, scheduler_at
 from tuning.sweeps.configuration import build, drawn_values
+from tuning.sweeps.replays import RunSelection
 from tuning.sweeps.summary import as_object
 from tuning.sweeps.sweep import sweep
 from tuning.uncertainty.metric_table import parameter_columns
@@ -126,7 +127,7 @@ def test_lost_runs_are_kept_with_their_tick(tmp_path):
         else:
             assert row["contour_max_um"] > 0 and row["left_path_at"] is None
     plan = build(lost)
-    ((loop, worst),) = replays.choose(folder, plan, None, sum(unstable), None, None)
+    ((loop, worst),) = replays.select_runs(folder, plan, RunSelection(worst=sum(unstable)))
     assert sorted(worst) == [r["run"] for r, bad in zip(rows, unstable, strict=True) if bad]
     assert all(row["identical"] for row in replays.replay(folder, plan, loop, worst[:3]))
 
@@ -334,7 +335,9 @@ def test_a_replayed_run_gives_its_row_back_exactly(whole):
 
 def test_the_worst_runs_are_the_worst(whole):
     values = table(whole)["contour_max_um"].to_numpy()
-    ((loop, runs),) = replays.choose(whole, build(text()), None, 3, None, "contour_max_um")
+    ((loop, runs),) = replays.select_runs(
+        whole, build(text()), RunSelection(worst=3, metric="contour_max_um")
+    )
     assert loop == 0 and runs == list(np.argsort(-values)[:3])
 
 

@@ -1,4 +1,4 @@
-"""What a finished (or stopped) sweep says: yield, statistics, comparisons, sensitivities."""
+"""Analysis of a sweep: yield, statistics of a metric, paired comparisons, sensitivities."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,14 +34,21 @@ from tuning.uncertainty.statistics import (
     share,
 )
 
-#: what a sweep is judged by if nothing is asked: the first that its loops have
-FIGURES = ("contour_max_um", "tracking_max_um", "following_max_x_um")
+#: the metric that a sweep is judged by if none is named: the first that its loops have
+USUAL_METRICS = ("contour_max_um", "tracking_max_um", "following_max_x_um")
 #: rows of the list of worst runs
 WORST = 10
 
 
 class Question(NamedTuple):
-    """What is asked of a sweep. metric: a column; target: the yield that is claimed."""
+    """What a user asks of a sweep.
+
+    Attributes:
+        spec: Text of a specification (`specification`), or None.
+        metric: Column to judge, or None for the usual one.
+        target: Yield that is claimed, in (0, 1), or None.
+        tornado: Whether slopes are computed, one gradient a loop.
+    """
 
     spec: str | None = None
     metric: str | None = None
@@ -49,11 +56,28 @@ class Question(NamedTuple):
     tornado: bool = False
 
 
+class Criteria(NamedTuple):
+    """A question that a plan can answer. metric: the column to judge."""
+
+    spec: Specification | None
+    metric: str
+    target: float | None
+    tornado: bool
+
+
 class LoopResult(NamedTuple):
-    """One loop. columns: all that was asked about, (runs,). passed: where a specification is
-    given. sampled: the rows that are a sample of the spreads, on which shares and statistics rest.
-    ends: column of a parameter -> median figure where it is lowest and where it is highest.
-    notes: what is not said of the effects, and why.
+    """Answers about one loop.
+
+    Attributes:
+        columns: What the answers rest on: column -> (runs,), display units.
+        passed: Which runs meet the specification, (runs,) bool; None without one.
+        sampled: Rows that are a sample of the spreads, (runs,) bool: shares and statistics rest on
+            them.
+        lost: Number of runs that were lost.
+        met: Yield, the share of the sampled rows that passed.
+        correlations: Column of a parameter -> Spearman's rho with the metric.
+        ends: Column of a parameter -> median metric where it is lowest and where it is highest.
+        notes: What is not said of the effects, and why.
     """
 
     name: str
@@ -72,7 +96,7 @@ class LoopResult(NamedTuple):
 
 
 class Analysis(NamedTuple):
-    """Answers about a sweep. metric: the figure that was judged."""
+    """Answers about a sweep."""
 
     plan: SweepPlan
     metric: str
@@ -83,84 +107,84 @@ class Analysis(NamedTuple):
 
 
 def usable_columns(plan: SweepPlan) -> dict[str, type]:
-    """What a specification may use: columns of the rows of every loop, name -> float or bool.
+    """Columns that a specification may use, those of every loop: name -> float or bool.
 
     Known before anything has run. The time at which a run was lost is not among them: complete
     runs have no such number, and none of them would pass.
     """
-    kinds: list[dict[str, type]] = []
+    types: list[dict[str, type]] = []
     for case, space in zip(plan.cases, plan.spaces, strict=True):
-        parameters = dict.fromkeys((c for item in space.uncertain for c in item.columns), float)
-        figures = dict.fromkeys(metric_names(case), float)
-        kinds.append({"run": float} | parameters | figures | {"finite": bool})
-    return {name: kind for name, kind in kinds[0].items() if all(name in k for k in kinds)}
+        parameters = (column for item in space.uncertain for column in item.columns)
+        numbers = dict.fromkeys(("run", *parameters, *metric_names(case)), float)
+        types.append(numbers | {"finite": bool})
+    return {name: kind for name, kind in types[0].items() if all(name in t for t in types)}
 
 
 def choose_metric(plan: SweepPlan, spec: Specification | None, name: str | None) -> str:
-    """The figure to judge: as asked, or the first that the specification limits, or a usual one.
-
-    Raises ValueError for an unknown one.
-    """
+    """The metric to judge: the named one, else the first that the specification limits, else a
+    usual one. Raises ValueError for an unknown name."""
     columns = usable_columns(plan)
     known = [n for n in metric_names(plan.cases[0]) if n in columns]
     if name is not None:
         if name not in known:
-            raise ValueError(f"--metric {name}: no such figure{nearest_name(name, known)}")
+            raise ValueError(f"--metric {name}: no such metric{nearest_name(name, known)}")
         return name
     limited = [n for n in (spec.limits if spec else ()) if n in known]
-    usual = [n for n in FIGURES if n in known]
-    for found in (*limited, *usual, *(n for n in known if n.endswith("_um"))):
-        return found
-    raise ValueError("--metric: name the figure to judge")
+    usual = [n for n in USUAL_METRICS if n in known]
+    for candidate in (*limited, *usual, *(n for n in known if n.endswith("_um"))):
+        return candidate
+    raise ValueError("--metric: name the metric to judge")
 
 
-def understood(plan: SweepPlan, question: Question) -> tuple[Specification | None, str]:
-    """The specification and the figure to judge. Raises ValueError in one line."""
+def criteria(plan: SweepPlan, question: Question) -> Criteria:
+    """The question against the columns of a plan. Raises ValueError in one line."""
     spec = parse(question.spec, usable_columns(plan)) if question.spec is not None else None
     if question.target is not None:
         if spec is None:
             raise ValueError(f"--target {question.target:g} needs a --spec")
         claim(share(0, 1), question.target)
-    return spec, choose_metric(plan, spec, question.metric)
+    metric = choose_metric(plan, spec, question.metric)
+    return Criteria(spec, metric, question.target, question.tornado)
 
 
 def analyse(folder: Path, plan: SweepPlan, question: Question) -> Analysis:
     """Answer a question about a finished sweep. Raises ValueError in one line."""
-    spec, metric = understood(plan, question)
+    judged = criteria(plan, question)
+    spec, metric = judged.spec, judged.metric
     todo = store.missing(folder, plan)
     if todo:
         raise ValueError(f"{folder}: {len(todo)} chunks are missing, sweep with --resume goes on")
     parameters = [c for item in plan.spaces[0].uncertain for c in item.columns]
-    wanted = dict.fromkeys([metric, *parameters, *(spec.names if spec else ()), "finite"])
-    table = store.read(folder, plan, list(wanted))
+    names = dict.fromkeys([metric, *parameters, *(spec.names if spec else ()), "finite"])
+    table = store.read(folder, plan, list(names))
     runs = plan.table["runs"]
     loops = []
     for loop in range(len(plan.cases)):
-        mine = table.slice(loop * runs, runs)
-        columns = {name: mine[name].to_numpy() for name in wanted}
-        loops.append(_loop_result(plan, loop, columns, metric, spec, question))
+        rows = table.slice(loop * runs, runs)
+        columns = {name: rows[name].to_numpy() for name in names}
+        loops.append(_loop_result(plan, loop, columns, judged))
     pairs = [(a, b) for i, a in enumerate(loops) for b in loops[i + 1 :]]
     comparisons = [_compare(a, b, metric, parameters) for a, b in pairs]
-    kept = tuple(c for c in comparisons if c is not None)
-    notes = _notes(plan, len(kept) < len(pairs)) + tuple(n for loop in loops for n in loop.notes)
-    return Analysis(plan, metric, spec, tuple(loops), kept, notes)
+    possible = tuple(c for c in comparisons if c is not None)
+    notes = _notes(plan, len(possible) < len(pairs))
+    notes += tuple(note for loop in loops for note in loop.notes)
+    return Analysis(plan, metric, spec, tuple(loops), possible, notes)
 
 
 def _loop_result(
-    plan: SweepPlan, loop: int, columns: dict[str, np.ndarray], metric: str,
-    spec: Specification | None, question: Question,
-) -> LoopResult:  # fmt: skip
+    plan: SweepPlan, loop: int, columns: dict[str, np.ndarray], judged: Criteria
+) -> LoopResult:
     space, design = plan.spaces[loop], DESIGNS[plan.table["design"]]
-    values = columns[metric]
-    passed = spec.passes(columns) if spec else None
+    values = columns[judged.metric]
+    numbers = [column for item in space.uncertain for column in item.numbers()]
+    passed = judged.spec.passes(columns) if judged.spec else None
     sampled = np.zeros(len(values), bool)
     if design.sample is not None:
         sampled[:: design.sample(space.dimensions())] = True
     met = None
     if passed is not None and sampled.any():
         met = share(int(passed[sampled].sum()), int(sampled.sum()))
-    judged = claim(met, question.target) if met and question.target is not None else None
-    indices, slopes, notes = _effects(plan, loop, values, metric, question)
+    indices, slopes, notes = _effects(plan, loop, values, judged)
     return LoopResult(
         name=plan.table["loop"][loop]["name"],
         columns=columns,
@@ -168,26 +192,18 @@ def _loop_result(
         sampled=sampled,
         lost=int((~columns["finite"]).sum()),
         met=met,
-        claim=judged,
+        claim=claim(met, judged.target) if met and judged.target is not None else None,
         statistics=metric_statistics(values[sampled]) if sampled.any() else None,
-        correlations={
-            column: rank_correlation(columns[column], values)
-            for item in space.uncertain
-            for column in item.numbers()
-        },
+        correlations={column: rank_correlation(columns[column], values) for column in numbers},
         indices=indices,
         tornado=slopes,
-        ends={
-            column: at_the_ends(columns[column][sampled], values[sampled])
-            for item in space.uncertain
-            for column in item.numbers()
-        },
+        ends={column: at_the_ends(columns[column][sampled], values[sampled]) for column in numbers},
         notes=notes,
     )
 
 
 def _effects(
-    plan: SweepPlan, loop: int, values: np.ndarray, metric: str, question: Question
+    plan: SweepPlan, loop: int, values: np.ndarray, judged: Criteria
 ) -> tuple[Indices | None, Tornado | None, tuple[str, ...]]:
     """Sobol indices and tornado where asked for, and notes: what cannot be had must not cost the
     other answers."""
@@ -203,9 +219,9 @@ def _effects(
     except ValueError as error:
         notes.append(str(error))
     try:
-        if question.tornado:
+        if judged.tornado:
             with jax.enable_x64(plan.table["precision"] == "double"):
-                slopes = tornado(plan.cases[loop], space, metric)
+                slopes = tornado(plan.cases[loop], space, judged.metric)
             if slopes.left_out:
                 notes.append(f"no slope, not in the tornado: {', '.join(slopes.left_out)}")
     except ValueError as error:
@@ -243,10 +259,10 @@ def _notes(plan: SweepPlan, unpaired: bool) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def worst(
+def worst_runs(
     folder: Path, plan: SweepPlan, metric: str, count: int, loop: str | None = None
 ) -> list[dict[str, Any]]:
-    """The worst rows that are there: lost runs first, the earliest before all, then by figure."""
+    """The worst rows that are there: lost runs first, the earliest before all, then by metric."""
     table = store.read(folder, plan, ["loop", "run", metric, "lost_at_s"])
     if loop is not None:
         table = table.filter(pa.array([name == loop for name in table["loop"].to_pylist()]))

@@ -1,4 +1,4 @@
-"""Executors on many machines or processes, by Dask distributed (an extra)."""
+"""Executors on many processes or machines, by Dask distributed (an extra)."""
 
 import logging
 import sys
@@ -20,13 +20,17 @@ def local_workers(count: int) -> Iterator[Executor]:
         raise ValueError(_MISSING) from None
     with (
         LocalCluster(
-            n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0",
-            memory_limit=0, silence_logs=50,
+            n_workers=count,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=":0",
+            memory_limit=0,
+            silence_logs=50,
         ) as cluster,
         Client(cluster) as client,
-    ):  # fmt: skip
-        with _told():
-            yield client.get_executor()
+        _told(),
+    ):
+        yield client.get_executor()
 
 
 @contextmanager

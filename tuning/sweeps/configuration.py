@@ -1,4 +1,4 @@
-"""The configuration of a sweep: one table that says everything a run's numbers depend on.
+"""Configuration of a sweep: one table that says everything a run's numbers depend on.
 
 It is plain data, written as TOML (`to_text`): workers rebuild the sweep from that text, a folder
 keeps it, and its hash names it. Every gain, nominal value, spread and number of the timing is in
@@ -43,7 +43,19 @@ _BLOCK = 65536
 
 
 class SweepRequest(NamedTuple):
-    """What the user asked for. gains: loop -> TOML file; chunk: most runs of a file of results."""
+    """A sweep as a user asks for it.
+
+    Attributes:
+        loops: Names, each on the same plants.
+        runs: Plants to draw.
+        design: Of `DESIGNS`.
+        seed: Of the draws, 0..2^32 - 1.
+        chunk: Most runs of one file of results.
+        precision: double or single.
+        words: As for ``--set``.
+        gains: Loop -> file of gains.
+        scenario: Scenario file.
+    """
 
     loops: tuple[str, ...]
     runs: int
@@ -57,8 +69,14 @@ class SweepRequest(NamedTuple):
 
 
 class SweepPlan(NamedTuple):
-    """A configuration, built. cases, spaces: one a loop. chunks: files a loop; size: runs of one,
-    the last one less."""
+    """A configuration, built.
+
+    Attributes:
+        text, table: The configuration, as TOML and as plain data.
+        cases, spaces: Nominal plant and what is uncertain, one a loop.
+        chunks: Files of results a loop.
+        size: Runs of a chunk; the last one may have less.
+    """
 
     text: str
     table: dict[str, Any]
@@ -151,8 +169,8 @@ def build(text: str) -> SweepPlan:
         cases = tuple(case_of(loop, table["blocks"]) for loop in table["loop"])
     spaces = tuple(space(case, table["spread"], table["correlation"]) for case in cases)
     cases = tuple(
-        with_max_delay(case, longest_delay(found))
-        for case, found in zip(cases, spaces, strict=True)
+        with_max_delay(case, longest_delay(uncertain))
+        for case, uncertain in zip(cases, spaces, strict=True)
     )
     _check_design(table, spaces)
     chunks = math.ceil(table["runs"] / table["chunk"])

@@ -1,4 +1,4 @@
-"""The pictures of a sweep as files in its folder."""
+"""Plots of a sweep, as files in its folder."""
 
 from pathlib import Path
 
@@ -13,36 +13,36 @@ from tuning.sweeps.analysis import Analysis, LoopResult
 from tuning.uncertainty.statistics import PairedComparison
 
 
-def pictures(found: Analysis, folder: Path) -> list[Path]:
-    """Draw all that applies into a folder; returns the files."""
-    drawn = drawings(found)
-    files = [folder / f"{name}.png" for name in drawn]
-    for file, figure in zip(files, drawn.values(), strict=True):
-        save(figure, file)
+def pictures(analysis: Analysis, folder: Path) -> list[Path]:
+    """Draw all plots that apply into a folder; returns the files."""
+    files = []
+    for name, plot in plots(analysis).items():
+        files.append(folder / f"{name}.png")
+        save(plot, files[-1])
     return files
 
 
-def drawings(found: Analysis) -> dict[str, sweep.Figure]:
-    """All figures that apply, by name."""
-    sheet = _sheet(found)
-    samples = {loop.name: _sample(loop, found.metric) for loop in found.loops}
-    by_chance = {loop.name: _by_chance(samples[loop.name], loop) for loop in found.loops}
+def plots(analysis: Analysis) -> dict[str, sweep.Figure]:
+    """All plots that apply, by name."""
+    sheet = _sheet(analysis)
+    samples = {loop.name: _sample(loop, analysis.metric) for loop in analysis.loops}
+    by_chance = {loop.name: _by_chance(samples[loop.name], loop) for loop in analysis.loops}
     drawn = {"distribution": sweep.distribution(list(by_chance.values()), sheet)}
     labels = {
         column: f"{label} ({item.unit})" if item.unit != "1" else label
-        for item in found.plan.spaces[0].uncertain
+        for item in analysis.plan.spaces[0].uncertain
         for column, label in item.numbers().items()
     }
-    for loop in found.loops:
+    for loop in analysis.loops:
         columns = {label: loop.columns[column] for column, label in labels.items()}
         correlations = {label: loop.correlations[column] for column, label in labels.items()}
         drawn[f"{loop.name}-parameters"] = sweep.parameters(
             samples[loop.name], columns, correlations, sheet
         )
         drawn |= _effects(loop, sheet)
-    for c in found.comparisons:
+    for c in analysis.comparisons:
         drawn[f"{c.first}-against-{c.second}"] = sweep.versus(
-            by_chance[c.first], by_chance[c.second], _words(c, found.metric), sheet
+            by_chance[c.first], by_chance[c.second], _words(c, analysis.metric), sheet
         )
     return drawn
 
@@ -58,28 +58,28 @@ def _effects(loop: LoopResult, sheet: sweep.Sheet) -> dict[str, sweep.Figure]:
             loop.name, loop.tornado.nominal, bars, sheet, loop.tornado.left_out
         )
     if loop.indices is not None:
-        i = loop.indices
-        rows = zip(i.names, i.first, i.first_error, i.total, i.total_error, strict=True)
-        found = [sensitivity.Index(name, *map(float, numbers)) for name, *numbers in rows]
-        drawn[f"{loop.name}-indices"] = sensitivity.indices(loop.name, found, sheet)
+        rows = [
+            sensitivity.Index(name, *map(float, numbers)) for name, *numbers in loop.indices.rows()
+        ]
+        drawn[f"{loop.name}-indices"] = sensitivity.indices(loop.name, rows, sheet)
     return drawn
 
 
-def _sheet(found: Analysis) -> sweep.Sheet:
-    table = found.plan.table
-    name, unit = split_key(found.metric)
+def _sheet(analysis: Analysis) -> sweep.Sheet:
+    table, spec = analysis.plan.table, analysis.spec
+    name, unit = split_key(analysis.metric)
     footer = "   |   ".join(
         (
             *(f"REFUSED gains: {loop}" for loop in table.get("refused", ())),
             f"{table['runs']} plants, {table['design']}",
             f"seed {table['seed']}",
             f"{table['precision']} precision",
-            f"specification: {found.spec.text}" if found.spec else "no specification",
-            f"configuration {digest(found.plan.text)}",
+            f"specification: {spec.text}" if spec else "no specification",
+            f"configuration {digest(analysis.plan.text)}",
             f"jaxstage {__version__}, jax {jax.__version__}",
         )
     )
-    limit = found.spec.limits.get(found.metric) if found.spec else None
+    limit = spec.limits.get(analysis.metric) if spec else None
     shown = unit.replace("um", "µm")
     return sweep.Sheet(f"{name} ({shown})" if unit else name, limit, footer)
 

@@ -1,9 +1,9 @@
-"""Runs of a sweep again: redrawn from (seed, run), simulated, and held against their rows."""
+"""Replays: runs of a sweep redrawn from (seed, run), simulated, and held against their rows."""
 
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -17,7 +17,7 @@ from jaxstage.studies import Case, find
 from jaxstage.system.files import write_text
 from tuning.store.prepare import Prepared, execute
 from tuning.sweeps import store
-from tuning.sweeps.analysis import choose_metric, worst
+from tuning.sweeps.analysis import choose_metric, worst_runs
 from tuning.sweeps.configuration import SweepPlan, drawn_values
 from tuning.sweeps.sweep import simulate_rows
 from tuning.uncertainty.case_table import with_values
@@ -29,53 +29,58 @@ LANES = 64
 
 
 def stored_devices(folder: Path) -> int:
-    """The most devices that a chunk of a sweep was computed on;
-    JAX need not have started."""
-    found = [1]
+    """The most devices that a chunk of a sweep was computed on. JAX need not have started."""
+    devices = [1]
     for file in (folder / store.RUNS).glob("*/*.parquet"):
         with suppress(OSError, pa.ArrowInvalid):  # not whole: no row of it is read
-            found.append(int((pq.read_metadata(file).metadata or {}).get(b"devices", b"1")))
-    return max(found)
+            devices.append(int((pq.read_metadata(file).metadata or {}).get(b"devices", b"1")))
+    return max(devices)
 
 
-def choose(
-    folder: Path, plan: SweepPlan, run: int | None, worst_of: int | None, loop: str | None,
-    metric: str | None,
-) -> list[tuple[int, list[int]]]:  # fmt: skip
-    """Which runs: (loop, numbers) each. Raises ValueError for an unknown loop or count."""
-    names = [entry["name"] for entry in plan.table["loop"]]
+class RunSelection(NamedTuple):
+    """Runs to replay: one by its number, or the ``worst`` by a metric; of one loop, or of all."""
+
+    run: int | None = None
+    worst: int | None = None
+    loop: str | None = None
+    metric: str | None = None
+
+
+def select_runs(folder: Path, plan: SweepPlan, chosen: RunSelection) -> list[tuple[int, list[int]]]:
+    """Loop and numbers of the selected runs. Raises ValueError for an unknown loop or count."""
+    names, loop = [entry["name"] for entry in plan.table["loop"]], chosen.loop
     if loop is not None and loop not in names:
         raise ValueError(f"--loop {loop}: one of {', '.join(names)}{nearest_name(loop, names)}")
-    if run is not None:
-        return [(i, [run]) for i, name in enumerate(names) if loop in (None, name)]
-    assert worst_of is not None
-    if worst_of < 1:
-        raise ValueError(f"--worst {worst_of}: must be >= 1")
-    judged = choose_metric(plan, None, metric)
-    rows = worst(folder, plan, judged, worst_of, loop)
-    chosen: dict[int, list[int]] = {}
-    for row in rows:
-        chosen.setdefault(names.index(row["loop"]), []).append(row["run"])
-    return list(chosen.items())
+    if chosen.run is not None:
+        return [(i, [chosen.run]) for i, name in enumerate(names) if loop in (None, name)]
+    assert chosen.worst is not None
+    if chosen.worst < 1:
+        raise ValueError(f"--worst {chosen.worst}: must be >= 1")
+    metric = choose_metric(plan, None, chosen.metric)
+    runs: dict[int, list[int]] = {}
+    for row in worst_runs(folder, plan, metric, chosen.worst, loop):
+        runs.setdefault(names.index(row["loop"]), []).append(row["run"])
+    return list(runs.items())
 
 
 def replay(folder: Path, plan: SweepPlan, loop: int, runs: Sequence[int]) -> list[dict[str, Any]]:
     """Simulate some runs of a loop again.
 
-    An object each: parameters and figures as columns, what became of the run, and whether they
-    are ``identical`` to the stored row: same numbers, bit for bit, where versions and devices are
-    those of the sweep; None where the row is not there yet. Raises ValueError for a run that the
-    sweep does not have.
+    Returns:
+        An object each: parameters and metrics as columns, what became of the run, and whether they
+        are ``identical`` to the stored row: same numbers, bit for bit, where versions and devices
+        are those of the sweep; None where the row is not there yet.
+
+    Raises:
+        ValueError: For a run that the sweep does not have.
     """
     for run in runs:
         if not 0 <= run < plan.table["runs"]:
             raise ValueError(f"--run {run}: must be 0..{plan.table['runs'] - 1}")
     rows = [_stored(folder, plan, loop, run) for run in runs]
     devices = min(jax.local_device_count(), max((row[1] for row in rows if row), default=1))
-    each = [drawn_values(plan, loop, run, run + 1) for run in runs]
-    values = {path: np.concatenate([one[path] for one in each]) for path in each[0]}
     lanes = max(len(runs), devices, min(LANES, plan.size))
-    columns = simulate_rows(plan, loop, np.asarray(runs), values, lanes, devices)
+    columns = simulate_rows(plan, loop, np.asarray(runs), lanes, devices)
     return [
         _object(plan, loop, run, {k: v[i] for k, v in columns.items()}, row)
         for i, (run, row) in enumerate(zip(runs, rows, strict=True))
@@ -95,9 +100,12 @@ def _stored(
 
 
 def _object(
-    plan: SweepPlan, loop: int, run: int, columns: dict[str, Any],
+    plan: SweepPlan,
+    loop: int,
+    run: int,
+    columns: dict[str, Any],
     stored: tuple[dict[str, Any], int] | None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     plain = {name: _plain(name, value) for name, value in columns.items()}
     drawn = [c for item in plan.spaces[loop].uncertain for c in item.columns]
     return {

@@ -1,13 +1,13 @@
-"""Which uncertain value matters: Sobol indices, rank correlation, and the gradient tornado.
+"""Sensitivity of a metric to uncertain values: Sobol indices, rank correlation, tornado.
 
 Sobol indices need a sweep of the design ``saltelli`` and independent values; S1 is the share of
-the figure's variance that a value explains on its own, ST the share with all its interactions
+the metric's variance that a value explains on its own, ST the share with all its interactions
 (Saltelli et al., Comput. Phys. Commun. 181, 2010; computed by SALib). The tornado needs one
 differentiated run: the slope at the nominal plant, times the spread.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -31,9 +31,13 @@ QUANTILE = 0.05
 
 
 class Indices(NamedTuple):
-    """Sobol indices of the uncertain numbers, and the half width of their 95 % intervals.
+    """Sobol indices of uncertain numbers, with the half width of their 95 % intervals.
 
-    dropped: share of the blocks that were left out, as they hold a lost run.
+    Attributes:
+        names: Labels of the numbers, n of them.
+        first, first_error: S1, (n,).
+        total, total_error: ST, (n,).
+        dropped: Share of the blocks that were left out, as they hold a lost run.
     """
 
     names: tuple[str, ...]
@@ -43,6 +47,17 @@ class Indices(NamedTuple):
     total_error: np.ndarray
     dropped: float
 
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """Name, S1, its error, ST, its error of each number."""
+        return zip(
+            self.names,
+            self.first,
+            self.first_error,
+            self.total,
+            self.total_error,
+            strict=True,
+        )
+
 
 def names_of(space: Space) -> tuple[str, ...]:
     """One label an independent number: the setting, with its axis where each has its own."""
@@ -50,10 +65,16 @@ def names_of(space: Space) -> tuple[str, ...]:
 
 
 def sobol_indices(names: Sequence[str], values: np.ndarray, seed: int = 0) -> Indices:
-    """Indices of a figure over a Saltelli design, (blocks x (len(names) + 2),), NaN where lost.
+    """Sobol indices of a metric over a Saltelli design.
 
-    Raises ValueError where SALib is not installed, too many blocks hold a lost run, or the figure
-    does not vary.
+    Args:
+        names: Labels of the n uncertain numbers.
+        values: The metric, (blocks x (n + 2),), NaN where a run was lost.
+        seed: Of the bootstrap of the intervals.
+
+    Raises:
+        ValueError: Without SALib, where over `MOST_LOST` of the blocks hold a lost run, and where
+            the metric does not vary.
     """
     try:
         from SALib.analyze import sobol
@@ -68,20 +89,20 @@ def sobol_indices(names: Sequence[str], values: np.ndarray, seed: int = 0) -> In
             "is no sample of the spreads, so there are no Sobol indices"
         )
     if np.ptp(blocks[whole]) == 0:
-        raise ValueError("the figure is the same in all runs: there are no Sobol indices")
+        raise ValueError("the metric is the same in all runs: there are no Sobol indices")
     problem = {"num_vars": len(names), "names": list(names), "bounds": [[0, 1]] * len(names)}
-    found = sobol.analyze(
+    answer = sobol.analyze(
         problem, blocks[whole].reshape(-1), calc_second_order=False, num_resamples=200, seed=seed
     )
     first, first_error, total, total_error = (
-        np.asarray(found[name]) for name in ("S1", "S1_conf", "ST", "ST_conf")
+        np.asarray(answer[name]) for name in ("S1", "S1_conf", "ST", "ST_conf")
     )
     return Indices(tuple(names), first, first_error, total, total_error, dropped)
 
 
 def rank_correlation(parameter: np.ndarray, values: np.ndarray) -> float | None:
-    """Spearman's rho of a parameter and a figure, (n,) each, where there is one. Lost runs, NaN,
-    are worse than all others: what breaks a loop must not drop out of its reasons."""
+    """Spearman's rho of a parameter and a metric, (n,) each; None where there is none. Lost runs,
+    NaN, are worse than all others: what breaks a loop must not drop out of its reasons."""
     ranks = [stats.rankdata(x) for x in (parameter, np.where(np.isnan(values), np.inf, values))]
     if len(values) < 3 or not all(np.ptp(rank) for rank in ranks):
         return None
@@ -89,8 +110,8 @@ def rank_correlation(parameter: np.ndarray, values: np.ndarray) -> float | None:
 
 
 def at_the_ends(parameter: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:
-    """Median figure of the plants in the lowest and in the highest tenth of a parameter, (n,) each:
-    what the sweep itself says about the effect of that value. None for fewer than `FEWEST`."""
+    """Median metric in the lowest and in the highest tenth of a parameter, (n,) each: what the
+    sweep itself says about the effect of that value. None for fewer than `FEWEST` runs."""
     if len(values) < FEWEST:
         return None
     low, high = np.quantile(parameter, [0.1, 0.9])
@@ -101,7 +122,7 @@ def at_the_ends(parameter: np.ndarray, values: np.ndarray) -> tuple[float, float
 
 
 class Bar(NamedTuple):
-    """One number of a tornado: the figure, to first order, at its 5 % and 95 % quantile.
+    """One number of a tornado: the metric, to first order, at its 5 % and 95 % quantile.
 
     column: of the value in the table of runs.
     """
@@ -113,8 +134,14 @@ class Bar(NamedTuple):
 
 
 class Tornado(NamedTuple):
-    """nominal: the figure of the nominal plant. bars: by descending width. left_out: settings that
-    have no slope: whole numbers, values of the reference, and what is nominally without limit."""
+    """First-order effects, widest first.
+
+    Attributes:
+        nominal: The metric of the nominal plant.
+        bars: One a number, by descending width.
+        left_out: Settings that have no slope: whole numbers, values of the reference, and what is
+            nominally without limit.
+    """
 
     nominal: float
     bars: tuple[Bar, ...]
@@ -122,10 +149,17 @@ class Tornado(NamedTuple):
 
 
 def tornado(case: Case, space: Space, column: str) -> Tornado:
-    """The effect of each uncertain number on a figure, from one run in reverse mode.
+    """The effect of each uncertain number on a metric, from one run in reverse mode.
 
-    column: a figure as `rows.metric_columns` names it. Raises ValueError where the nominal run is
-    lost, and where no slope is finite.
+    J(x) = J(x0) + dJ/dx (x - x0), at x of the quantiles `QUANTILE` and 1 - `QUANTILE`.
+
+    Args:
+        case: The nominal plant x0.
+        space: What is uncertain.
+        column: A metric as `metric_columns` names it.
+
+    Raises:
+        ValueError: Where the nominal run is lost, and where no slope is finite.
     """
     items = [item for item in space.uncertain if _has_slope(item)]
     if not items:
@@ -133,11 +167,11 @@ def tornado(case: Case, space: Space, column: str) -> Tornado:
     chosen = select((), case.scenario, tuple(item.path for item in items))
     segment = max(1, math.isqrt(case.window.ticks))
     loop = replace(case.loop, segment=segment)
-    figure = _figure(case, column)
+    metric = _metric(case, column)
 
     def function(x: Array) -> Array:
         _, scenario = chosen.rebuild(x)
-        return figure(simulate(loop, case.gains, scenario, case.path, case.window.ticks).report)
+        return metric(simulate(loop, case.gains, scenario, case.path, case.window.ticks).report)
 
     value, slope = jax.jit(value_and_gradient(function, forward=False))(chosen.vector)
     if not np.isfinite(value):
@@ -172,13 +206,13 @@ def _ends(item: Uncertain) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _figure(case: Case, column: str) -> Callable[[Any], Array]:
+def _metric(case: Case, column: str) -> Callable[[Any], Array]:
     """Picks a column, in its display unit, out of a report that may be traced."""
 
     def pick(report: Any) -> Array:
         for metric in reported_metrics(report, case.loop.plant):
             if column in metric.columns():
                 return metric.columns()[column]
-        raise ValueError(f"{case.name} has no figure {column}")
+        raise ValueError(f"{case.name} has no metric {column}")
 
     return pick

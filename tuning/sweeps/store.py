@@ -1,4 +1,4 @@
-"""A sweep in a folder: its configuration, and one Parquet file a chunk, whole or absent.
+"""Result store of a sweep: its configuration, and one Parquet file a chunk, whole or absent.
 
     DIR/sweep.toml                            the configuration
     DIR/runs/dfcmac-circle/00000.parquet      one row a run; Parquet readers take DIR/runs/LOOP
@@ -58,11 +58,11 @@ def is_whole(folder: Path, plan: SweepPlan, index: int) -> bool:
     """Whether a chunk is there with all its rows, of this configuration."""
     _, start, stop = plan.place(index)
     try:
-        found = pq.read_metadata(chunk_file(folder, plan, index))
+        footer = pq.read_metadata(chunk_file(folder, plan, index))
     except (OSError, pa.ArrowInvalid):
         return False
-    same = (found.metadata or {}).get(b"configuration_sha256") == digest(plan.text).encode()
-    return same and found.num_rows == stop - start
+    same = (footer.metadata or {}).get(b"configuration_sha256") == digest(plan.text).encode()
+    return same and footer.num_rows == stop - start
 
 
 def write(folder: Path, plan: SweepPlan, index: int, rows: pa.Table) -> None:
@@ -76,9 +76,8 @@ def write(folder: Path, plan: SweepPlan, index: int, rows: pa.Table) -> None:
 
 def present(folder: Path, plan: SweepPlan) -> list[Path]:
     """The files of the chunks that are there, by loop and run."""
-    gone = set(missing(folder, plan))
     every = range(plan.chunks * len(plan.cases))
-    return [chunk_file(folder, plan, index) for index in every if index not in gone]
+    return [chunk_file(folder, plan, i) for i in every if is_whole(folder, plan, i)]
 
 
 def read(folder: Path, plan: SweepPlan, columns: Sequence[str] | None = None) -> pa.Table:
@@ -86,9 +85,9 @@ def read(folder: Path, plan: SweepPlan, columns: Sequence[str] | None = None) ->
 
     Raises ValueError where there are none.
     """
-    wanted = None if columns is None else list(columns)
-    tables = [pq.read_table(file, columns=wanted) for file in present(folder, plan)]
+    names = None if columns is None else list(columns)
+    tables = [pq.read_table(file, columns=names) for file in present(folder, plan)]
     if not tables:
         raise ValueError(f"{folder} has no runs yet: sweep with --resume goes on with it")
-    # laws have figures of their own: null in the rows of the others
+    # laws have metrics of their own: null in the rows of the others
     return pa.concat_tables(tables, promote_options="default").combine_chunks()

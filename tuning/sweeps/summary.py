@@ -5,25 +5,25 @@ from pathlib import Path
 from typing import Any
 
 from tuning.store.work_folder import digest
-from tuning.sweeps.analysis import WORST, Analysis, LoopResult, worst
+from tuning.sweeps.analysis import WORST, Analysis, LoopResult, worst_runs
 from tuning.sweeps.sensitivity import Indices
 from tuning.uncertainty.statistics import Interval, Share
 
 
-def as_object(found: Analysis, folder: Path) -> dict[str, Any]:
+def as_object(analysis: Analysis, folder: Path) -> dict[str, Any]:
     """What ``--json`` prints and summary.json holds. What cannot be said is None."""
-    table = found.plan.table
+    table = analysis.plan.table
     return {
         "sweep": str(folder),
         "version": table["jaxstage"],
-        "configuration_sha256": digest(found.plan.text),
+        "configuration_sha256": digest(analysis.plan.text),
         "design": table["design"],
         "seed": table["seed"],
         "precision": table["precision"],
         "runs": table["runs"],
-        "metric": found.metric,
-        "specification": found.spec.text if found.spec else None,
-        "loops": [_loop_object(loop) for loop in found.loops],
+        "metric": analysis.metric,
+        "specification": analysis.spec.text if analysis.spec else None,
+        "loops": [_loop_object(loop) for loop in analysis.loops],
         "comparisons": [
             {
                 "first": c.first,
@@ -33,10 +33,10 @@ def as_object(found: Analysis, folder: Path) -> dict[str, Any]:
                 "difference": _interval(c.difference),
                 "better": _share(c.better),
             }
-            for c in found.comparisons
+            for c in analysis.comparisons
         ],
-        "worst": worst(folder, found.plan, found.metric, WORST),
-        "notes": list(found.notes),
+        "worst": worst_runs(folder, analysis.plan, analysis.metric, WORST),
+        "notes": list(analysis.notes),
     }
 
 
@@ -62,33 +62,32 @@ def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _interval(found: Interval | None) -> dict[str, float | None] | None:
-    return {k: _number(v) for k, v in found._asdict().items()} if found else None
+def _interval(interval: Interval | None) -> dict[str, float | None] | None:
+    return {k: _number(v) for k, v in interval._asdict().items()} if interval else None
 
 
-def _share(found: Share | None) -> dict[str, float | None] | None:
-    if found is None:
+def _share(share: Share | None) -> dict[str, float | None] | None:
+    if share is None:
         return None
-    interval = {name: _number(getattr(found, name)) for name in ("value", "low", "high")}
-    return {"count": found.count, "of": found.of, **interval}
+    interval = {name: _number(getattr(share, name)) for name in ("value", "low", "high")}
+    return {"count": share.count, "of": share.of, **interval}
 
 
-def _indices(found: Indices | None) -> dict[str, Any] | None:
-    if found is None:
+def _indices(indices: Indices | None) -> dict[str, Any] | None:
+    if indices is None:
         return None
-    rows = zip(found.names, found.first, found.first_error, found.total, found.total_error)  # noqa: B905
+    keys = ("s1", "s1_error", "st", "st_error")
     return {
-        name: {"s1": _number(s), "s1_error": _number(e), "st": _number(t), "st_error": _number(u)}
-        for name, s, e, t, u in rows
+        name: dict(zip(keys, map(_number, numbers), strict=True))
+        for name, *numbers in indices.rows()
     }
 
 
 def _tornado_object(loop: LoopResult) -> dict[str, Any] | None:
-    found = loop.tornado
-    if found is None:
+    if loop.tornado is None:
         return None
     bars = {}
-    for bar in found.bars:
+    for bar in loop.tornado.bars:
         low, high = loop.ends[bar.column] or (None, None)
         bars[bar.name] = {"low": bar.low, "high": bar.high, "sweep_low": low, "sweep_high": high}
-    return {"nominal": found.nominal, "bars": bars}
+    return {"nominal": loop.tornado.nominal, "bars": bars}

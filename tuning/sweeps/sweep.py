@@ -1,4 +1,4 @@
-"""Monte-Carlo sweeps: chunks of runs through the batch engine, on any executor.
+"""Monte-Carlo simulation: chunks of runs through the batch engine, on any executor.
 
 A task is (configuration text, chunk number): nothing else travels to a worker, and the rows that
 come back depend on nothing else. Chunks are written by the process that calls `sweep`, as each
@@ -37,7 +37,11 @@ def start_worker(cores: int) -> None:
 def run_chunk(text: str, index: int, cores: int | None = None) -> pa.Table:
     """The rows of one chunk of a configuration.
 
-    cores: for a worker, which starts JAX with them (0: all it may use); None leaves JAX as it is.
+    Args:
+        text: Of `configure_sweep`.
+        index: Number of the chunk.
+        cores: For a worker, which starts JAX with them (0: all it may use); None leaves JAX as it
+            is.
     """
     if cores is not None:
         start_worker(cores)
@@ -48,35 +52,53 @@ def chunk_rows(plan: SweepPlan, index: int) -> pa.Table:
     """The rows of a chunk. It is filled up with its last run, so that all share one program."""
     loop, start, stop = plan.place(index)
     runs = np.arange(start, stop)
-    values = drawn_values(plan, loop, start, stop)
-    columns = simulate_rows(plan, loop, runs, values, plan.size)
-    return _table(plan, loop, runs, columns)
+    return _table(plan, loop, runs, simulate_rows(plan, loop, runs, plan.size))
 
 
 def simulate_rows(
     plan: SweepPlan,
     loop: int,
     runs: np.ndarray,
-    values: dict[str, np.ndarray],
     lanes: int,
     devices: int | None = None,
 ) -> dict[str, np.ndarray]:
-    """Columns of some runs of a loop, simulated in a batch of ``lanes`` >= len(runs).
+    """Simulate some runs of a loop in one batch.
 
-    runs: their numbers. values: their uncertain values, path -> (n, *shape).
+    Args:
+        plan: The sweep.
+        loop: Number of the loop.
+        runs: Numbers of the runs, (n,), any of the sweep.
+        lanes: Size of the batch, >= n: it is filled up with the last run.
+        devices: How many share the batch; None for all.
+
+    Returns:
+        Column -> (n,): parameters in SI, metrics in display units, what became of the run.
     """
     case, index = plan.cases[loop], np.minimum(np.arange(lanes), len(runs) - 1)
+    values = _values(plan, loop, runs)
     with jax.enable_x64(plan.table["precision"] == "double"):
         filled = {path: value[index] for path, value in values.items()}
         batch = batch_of(plan, loop, runs[index], filled)
         run = rollouts(
-            case.loop, batch.gains, batch.scenario, batch.path, case.window.ticks,
-            in_axes=batch.in_axes, memory=CHUNK_MEMORY, devices=devices,
-        )  # fmt: skip
-        flags = flag_columns(run, case.loop.dt)
-        figures = metric_columns(run.report, case.loop.plant)
-    simulated = {name: column[: len(runs)] for name, column in {**figures, **flags}.items()}
+            case.loop,
+            batch.gains,
+            batch.scenario,
+            batch.path,
+            case.window.ticks,
+            in_axes=batch.in_axes,
+            memory=CHUNK_MEMORY,
+            devices=devices,
+        )
+        columns = metric_columns(run.report, case.loop.plant) | flag_columns(run, case.loop.dt)
+    simulated = {name: column[: len(runs)] for name, column in columns.items()}
     return parameter_columns(plan.spaces[loop].uncertain, values) | simulated
+
+
+def _values(plan: SweepPlan, loop: int, runs: np.ndarray) -> dict[str, np.ndarray]:
+    """Uncertain values of runs, path -> (n, *shape), drawn once for each row of neighbours."""
+    parts = np.split(runs, np.flatnonzero(np.diff(runs) != 1) + 1)
+    drawn = [drawn_values(plan, loop, int(part[0]), int(part[-1]) + 1) for part in parts]
+    return {path: np.concatenate([values[path] for values in drawn]) for path in drawn[0]}
 
 
 def _table(
@@ -108,7 +130,7 @@ def _metadata(plan: SweepPlan) -> dict[str, str]:
 
 
 class SweepProgress(NamedTuple):
-    """How far a sweep is. written: rows of the chunk that has just been kept."""
+    """How far a sweep is, in runs. written: rows of the chunk that has just been kept."""
 
     done: int
     runs: int
@@ -122,12 +144,21 @@ def sweep(
     watch: Callable[[SweepProgress], None] = lambda progress: None,
     cores: int | None = None,
 ) -> int:
-    """Run what is missing of a sweep in a folder made by `store.create`; returns how many runs.
+    """Run what is missing of a sweep.
 
-    text: of `configure_sweep`. executor: any; its workers must have jaxstage installed; this
-    process if left out. cores: devices of a worker, see `run_chunk`. Stopped at any moment, by a
-    signal, a full disk or a lost machine, the next call does what is missing: chunks are whole or
-    absent. Raises what a chunk raised, after keeping those that were done.
+    Stopped at any moment, by a signal, a full disk or a lost machine, the next call does what is
+    missing: chunks are whole or absent. Raises what a chunk raised, after keeping those that were
+    done.
+
+    Args:
+        text: Of `configure_sweep`.
+        folder: Made by `store.create`.
+        executor: Any; its workers must have jaxstage installed. This process if left out.
+        watch: Hears of every chunk that is kept.
+        cores: Devices of a worker, see `run_chunk`.
+
+    Returns:
+        The number of runs that were missing.
     """
     plan = build(text)
     with store.locked(folder):

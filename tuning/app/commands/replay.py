@@ -40,10 +40,11 @@ def replay(options: ReplayOptions) -> None:
     precision = configuration.precision_of(text)
     configure(precision=precision, cores=replays.stored_devices(folder), cache="default")
     plan = configuration.build(text)
-    chosen = replays.choose(folder, plan, options.run, options.worst, options.loop, options.metric)
-    rows = [row for number, ids in chosen for row in replays.replay(folder, plan, number, ids)]
+    chosen = replays.RunSelection(options.run, options.worst, options.loop, options.metric)
+    selected = replays.select_runs(folder, plan, chosen)
+    rows = [row for number, ids in selected for row in replays.replay(folder, plan, number, ids)]
     if out is not None:
-        for number, run in ((number, run) for number, ids in chosen for run in ids):
+        for number, run in ((number, run) for number, ids in selected for run in ids):
             name = plan.table["loop"][number]["name"]
             replays.draw_run(plan, number, run, out / f"{name}-run-{run}")
     if options.as_json:

@@ -101,12 +101,12 @@ def sweep(options: SweepOptions) -> None:
         _refuse_given(options.context)
     _start_jax(options, stored)
     text = stored or _configure(options)
-    from tuning.sweeps.analysis import Question, analyse, understood
+    from tuning.sweeps.analysis import Question, analyse, criteria
     from tuning.sweeps.configuration import build
 
     question = Question(options.spec, options.metric, options.target, options.tornado)
     plan = build(text)
-    _, metric = understood(plan, question)
+    metric = criteria(plan, question).metric
     with _executor(options.scheduler, options.workers) as executor:
         store.create(options.out, text, options.resume)
         simulated = _simulate(plan, options, metric, executor)
