@@ -97,7 +97,7 @@ def test_too_few_runs_are_said_aloud():
     few = metric_statistics(values[:10])
     assert few.p50 is None and "needs 20 runs" in few.reasons["p50"]
     one = metric_statistics(values[:1])
-    assert one.mean is None and "1 of 1 runs have a figure" in one.reasons["mean"]
+    assert one.mean is None and "1 of 1 runs have a value" in one.reasons["mean"]
 
 
 @pytest.mark.fast

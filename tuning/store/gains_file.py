@@ -30,7 +30,8 @@ LAW, REFUSED, NOTES = "law", "refused", ("law", "refused", "tuned")
 
 
 class TunedGain(NamedTuple):
-    """A gain that was tuned. low, high: its range; before: its value then; arrays of its shape."""
+    """A gain that was tuned. low, high: its range; before: its value then; arrays of its shape, in
+    ``unit``."""
 
     gain: str
     symbol: str
@@ -50,19 +51,18 @@ def to_text(
     """The text of a file of gains.
 
     Args:
-        case: its law is named.
-        gains: all of the law.
-        tuned: what was tuned.
-        remarks: one comment line each.
-        refused: why a tuning did not accept the gains; none: it did, or there was none.
+        case: Of the law.
+        gains: All gains of the law.
+        tuned: What is said of those that were tuned.
+        remarks: One comment line each.
+        refused: Why a tuning did not accept the gains; empty: it did, or there was none.
     """
     tables = [
-        {
-            "gain": one.gain, "symbol": one.symbol, "unit": one.unit, "low": _plain(one.low),
-            "high": _plain(one.high), "before": np.asarray(one.before, float).tolist(),
-        }
+        one._asdict()
+        | {"low": _plain(one.low), "high": _plain(one.high)}
+        | {"before": np.asarray(one.before, float).tolist()}
         for one in tuned
-    ]  # fmt: skip
+    ]
     head = "".join(f"# {' '.join(remark.split())}\n" for remark in remarks)
     content: dict[str, Any] = {LAW: case.loop.controller.name}
     content |= {REFUSED: list(refused)} if refused else {}

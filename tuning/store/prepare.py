@@ -1,4 +1,4 @@
-"""One run from the words of a user to its result."""
+"""A single run: from the words and files of a user to its result."""
 
 import math
 import os
@@ -27,10 +27,8 @@ from tuning.uncertainty.scenario_blocks import with_max_delay
 from tuning.uncertainty.scenario_file import NO_SCENARIO, ScenarioFile
 
 #: settings that belong to the timing, with their units; those without one are whole numbers
-TIMING = {
-    "lap_time": "s", "laps": "", "scored": "", "dt": "s", "substeps": "", "feed": "mm/min",
-    "skip": "s",
-}  # fmt: skip
+TIMING = dict.fromkeys(("lap_time", "dt", "skip"), "s") | {"feed": "mm/min"}
+TIMING |= dict.fromkeys(("laps", "scored", "substeps"), "")
 
 
 class Prepared(NamedTuple):
@@ -45,15 +43,15 @@ class Prepared(NamedTuple):
 
 
 def refuse_rough(name: str) -> None:
-    """Raise ValueError for a loop whose figures are off by over 1 % in single precision."""
+    """Raise ValueError for a loop whose metrics are off by over 1 % in single precision."""
     find(name)
     for study in all_studies:
         table = stored_precision(study.name)
         if name in table:
-            figure, difference = worst(table[name])
+            metric, difference = worst(table[name])
             if difference > LARGEST:
                 raise ValueError(
-                    f"--precision single: {figure} of {name} is off by {difference:.1%} "
+                    f"--precision single: {metric} of {name} is off by {difference:.1%} "
                     f"(limit {LARGEST:.0%}, `jaxstage precision` measures it); --force runs it"
                 )
 
@@ -138,18 +136,18 @@ def _refuse_long(case: Case) -> None:
 
 
 def _with_recorded(prepared: Prepared, run: Run) -> Run:
-    """The run with the figures of its record among those of the scored part and of the whole."""
+    """The run with the metrics of its record among those of the scored part and of the whole."""
     if not prepared.entry.recorded:
         return run
     window, dt, report = prepared.case.window, prepared.case.loop.dt, dict(run.report)
     for part, ticks in (("scored", slice(window.start, window.stop)), ("whole", slice(None))):
-        figures = {
+        metrics = {
             recorded.metric.name: recorded.evaluate(
                 jax.tree.map(lambda row, t=ticks: row[t], run.rows[recorded.metric.name]), dt
             )
             for recorded in prepared.entry.recorded
         }
-        report[part] = report[part] | figures
+        report[part] = report[part] | metrics
     return replace(run, report=report)
 
 

@@ -1,4 +1,4 @@
-"""A finished run as an object for JSON, as text, and as files."""
+"""Result of a single run: as an object for JSON, as text, and as files."""
 
 import json
 from pathlib import Path
@@ -23,7 +23,7 @@ def _tick(value: Any) -> int | None:
 
 
 def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The object that ``--json`` prints. Figures of a lost run are None."""
+    """The object that ``--json`` prints. Metrics of a lost run are None."""
     left, broken = _tick(run.final.left_path_at), _tick(run.final.non_finite_at)
     double = case.scenario.start.offset.dtype == "float64"
     scored = columns(run.report["scored"], case.loop.plant)

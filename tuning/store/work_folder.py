@@ -1,4 +1,4 @@
-"""A folder that keeps the configuration of long work, so that it can be stopped and gone on with.
+"""Checkpoint folder: keeps the configuration of long work, which can be stopped and gone on with.
 
 The configuration is TOML text that everything depends on. A folder that holds something else, or
 the same work with another configuration, is refused before anything is written.
@@ -19,8 +19,13 @@ SHOWN = 5
 
 
 class FolderKind(NamedTuple):
-    """What a folder holds. file: of its configuration. noun: what it is called. keys: what every
-    such configuration has."""
+    """What a folder holds.
+
+    Attributes:
+        file: Name of the file of its configuration.
+        noun: What the work is called.
+        keys: What every such configuration has.
+    """
 
     file: str
     noun: str

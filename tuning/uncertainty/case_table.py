@@ -1,4 +1,4 @@
-"""A case as plain data and back, for configurations: equal text means equal numbers."""
+"""Serialisation of a case as plain data, for configurations: equal text means equal numbers."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -44,7 +44,7 @@ def case_of(table: Mapping[str, Any], blocks: Mapping[str, Any]) -> Case:
 
 
 def with_values(case: Case, values: Mapping[str, Any]) -> Case:
-    """The case with leaves by full path."""
+    """The case with leaves by full name of the setting, SI."""
     gains, scenario, path = case.gains, case.scenario, case.path
     for name, value in values.items():
         root, _, rest = name.partition(".")

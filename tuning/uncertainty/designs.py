@@ -1,4 +1,4 @@
-"""Designs: which points of the unit cube are run.
+"""Experimental designs: which points of the unit cube are run.
 
 A design is a function (seed, runs, dimensions, start, stop) -> rows start..stop-1, (stop - start,
 dimensions) in [0, 1]. Row i depends on (seed, runs, i) alone, for `random` and `sobol` on
@@ -21,7 +21,8 @@ _WORDS = 4  # numbers a step of the Philox counter gives
 
 
 def random_rows(seed: int, runs: int, dimensions: int, start: int, stop: int) -> np.ndarray:
-    """Independent points: row i has its own place in the Philox sequence of the seed."""
+    """Simple random sample: row i has its own place in the Philox sequence of the seed
+    (Salmon et al., SC 2011)."""
     steps = -(-dimensions // _WORDS)
     source = np.random.Generator(np.random.Philox(key=seed).advance(start * steps))
     return source.random((stop - start, steps * _WORDS))[:, :dimensions]
@@ -33,12 +34,14 @@ def _hypercube(seed: int, runs: int, dimensions: int) -> np.ndarray:
 
 
 def hypercube_rows(seed: int, runs: int, dimensions: int, start: int, stop: int) -> np.ndarray:
-    """Latin hypercube: each value has one point in each of ``runs`` equal slices."""
+    """Latin hypercube: each value has one point in each of ``runs`` equal slices
+    (McKay, Beckman and Conover, Technometrics 21, 1979)."""
     return _hypercube(seed, runs, dimensions)[start:stop]
 
 
 def sobol_rows(seed: int, runs: int, dimensions: int, start: int, stop: int) -> np.ndarray:
-    """Scrambled Sobol sequence; balanced when ``runs`` is a power of 2."""
+    """Scrambled Sobol sequence (Owen, J. Complexity 14, 1998); balanced when ``runs`` is a power
+    of 2."""
     source = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
     if start:
         source.fast_forward(start)
@@ -48,7 +51,7 @@ def sobol_rows(seed: int, runs: int, dimensions: int, start: int, stop: int) -> 
 
 
 def corner_rows(seed: int, runs: int, dimensions: int, start: int, stop: int) -> np.ndarray:
-    """All combinations of 0 and 1; bit d of the row's number is value d."""
+    """Full factorial design of two levels: bit d of the row's number is value d."""
     bits = np.arange(start, stop)[:, None] >> np.arange(dimensions)
     return (bits & 1).astype(float)
 
@@ -65,7 +68,8 @@ def _saltelli(seed: int, base: int, dimensions: int) -> np.ndarray:
 
 
 def saltelli_rows(seed: int, runs: int, dimensions: int, start: int, stop: int) -> np.ndarray:
-    """Blocks of dimensions + 2 rows for Sobol indices, in the order that SALib analyses."""
+    """Saltelli design: blocks of dimensions + 2 rows for Sobol indices, as SALib orders them
+    (Saltelli et al., Comput. Phys. Commun. 181, 2010)."""
     base = runs // (dimensions + 2)
     return _saltelli(seed, base, dimensions).reshape(-1, dimensions)[start:stop]
 
@@ -102,11 +106,14 @@ def _saltelli_runs(runs: int, dimensions: int) -> None:
 
 @definition
 class Design:
-    """rows: see the module. allowed: raises ValueError for a number of runs that does not fit.
+    """A design of experiments.
 
-    sample: rows i with i % sample(dimensions) == 0 are a sample of the distribution; None where
-    no rows are, so that no probability can be estimated. values: of a distribution at the numbers
-    of the rows.
+    Attributes:
+        rows: (seed, runs, dimensions, start, stop) -> points, see the module.
+        allowed: (runs, dimensions); raises ValueError for a number of runs that does not fit.
+        sample: Rows i with i % sample(dimensions) == 0 are a sample of the distribution; None where
+            no rows are, so that no probability can be estimated.
+        values: Values of a distribution at the numbers of the rows.
     """
 
     name: str
@@ -134,18 +141,18 @@ def _block(dimensions: int) -> int:
 
 _FREE = {"sample": _every, "values": _quantiles}
 
-DESIGNS = {
-    design.name: design
-    for design in (
-        Design(name="random", rows=random_rows, allowed=_any, **_FREE),
-        Design(name="lhs", rows=hypercube_rows, allowed=_any, **_FREE),
-        Design(name="sobol", rows=sobol_rows, allowed=_sobol_runs, **_FREE),
-        Design(
-            name="corners", rows=corner_rows, allowed=_corner_runs, sample=None, values=_ends
-        ),
-        Design(
-            name="saltelli", rows=saltelli_rows, allowed=_saltelli_runs, sample=_block,
-            values=_quantiles,
-        ),
-    )
-}  # fmt: skip
+_ALL = (
+    Design(name="random", rows=random_rows, allowed=_any, **_FREE),
+    Design(name="lhs", rows=hypercube_rows, allowed=_any, **_FREE),
+    Design(name="sobol", rows=sobol_rows, allowed=_sobol_runs, **_FREE),
+    Design(name="corners", rows=corner_rows, allowed=_corner_runs, sample=None, values=_ends),
+    Design(
+        name="saltelli",
+        rows=saltelli_rows,
+        allowed=_saltelli_runs,
+        sample=_block,
+        values=_quantiles,
+    ),
+)
+#: by the names that ``--design`` takes
+DESIGNS = {design.name: design for design in _ALL}

@@ -1,4 +1,4 @@
-"""How an uncertain value is distributed: its quantiles, so that any design in [0, 1] can draw it.
+"""Probability distributions as quantile functions, so that any design in [0, 1] draws them.
 
 Each maker checks its numbers and raises ValueError, naming the one that is wrong.
 """
@@ -23,8 +23,13 @@ CORNER = 3.0
 
 @definition
 class Distribution:
-    """quantile: probabilities in [0, 1] to values, elementwise. low, high: the corners, bounds of
-    the values where they have any."""
+    """A distribution of one number.
+
+    Attributes:
+        text: For people.
+        quantile: Probabilities in [0, 1] to values, elementwise.
+        low, high: The corners: bounds of the values where they have any.
+    """
 
     text: str
     quantile: Callable[[np.ndarray], np.ndarray]
@@ -50,7 +55,7 @@ def _positive(name: str, value: float) -> None:
 
 @functools.cache
 def uniform(low: float, high: float) -> Distribution:
-    """Every value of low..high alike."""
+    """Uniform: quantile low + (high - low) p."""
     _finite(low=low, high=high)
     _ordered(low, high)
 
@@ -62,7 +67,7 @@ def uniform(low: float, high: float) -> Distribution:
 
 @functools.cache
 def triangular(low: float, mode: float, high: float) -> Distribution:
-    """Density rising from low to mode and falling to high."""
+    """Triangular: density rising from low to mode and falling to high."""
     _finite(low=low, mode=mode, high=high)
     _ordered(low, high)
     if not low <= mode <= high:
@@ -82,7 +87,11 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
 def normal(
     mean: float, deviation: float, low: float = -math.inf, high: float = math.inf
 ) -> Distribution:
-    """Normal with mean and standard deviation, cut to low..high (and scaled up again)."""
+    """Normal with mean and standard deviation, truncated to low..high.
+
+    With F the distribution of the standard normal, quantile = mean + deviation F^-1(F(a) + p
+    (F(b) - F(a))), a and b the standardised bounds.
+    """
     _finite(mean=mean, deviation=deviation)
     _positive("deviation", deviation)
     _ordered(low, high)
@@ -96,39 +105,44 @@ def normal(
 
     cut = "" if left == 0 and right == 1 else f", cut to {low:g}..{high:g}"
     return Distribution(
-        text=f"normal {mean:g} +- {deviation:g}{cut}", quantile=quantile,
-        low=max(low, mean - CORNER * deviation), high=min(high, mean + CORNER * deviation),
-    )  # fmt: skip
+        text=f"normal {mean:g} +- {deviation:g}{cut}",
+        quantile=quantile,
+        low=max(low, mean - CORNER * deviation),
+        high=min(high, mean + CORNER * deviation),
+    )
 
 
 @functools.cache
 def lognormal(
     median: float, deviation: float, low: float = 0.0, high: float = math.inf
 ) -> Distribution:
-    """exp of a normal: median, standard deviation of the logarithm; cut to low..high."""
+    """Log-normal: exp of a normal with mean log(median) and standard deviation ``deviation``,
+    truncated to low..high."""
     _finite(median=median, deviation=deviation, low=low)
     _positive("median", median)
     if low < 0:
         raise ValueError(f"low = {low:g}: must be >= 0")
     _ordered(low, high)
-    logarithm = normal(
-        math.log(median), deviation, math.log(low) if low > 0 else -math.inf,
-        math.log(high) if math.isfinite(high) else math.inf,
-    )  # fmt: skip
+    least = math.log(low) if low > 0 else -math.inf
+    most = math.log(high) if math.isfinite(high) else math.inf
+    logarithm = normal(math.log(median), deviation, least, most)
 
     def quantile(p: np.ndarray) -> np.ndarray:
         return np.exp(logarithm.quantile(p))
 
     cut = "" if low == 0 and math.isinf(high) else f", cut to {low:g}..{high:g}"
     return Distribution(
-        text=f"log-normal {median:g}, deviation {deviation:g}{cut}", quantile=quantile,
-        low=math.exp(logarithm.low), high=math.exp(logarithm.high),
-    )  # fmt: skip
+        text=f"log-normal {median:g}, deviation {deviation:g}{cut}",
+        quantile=quantile,
+        low=math.exp(logarithm.low),
+        high=math.exp(logarithm.high),
+    )
 
 
 @functools.cache
 def discrete(values: tuple[float, ...], weights: tuple[float, ...] = ()) -> Distribution:
-    """One of the values; weights: how often, all alike if left out."""
+    """Categorical over numbers: one of the values, each with probability weight / sum(weights);
+    all alike if the weights are left out."""
     weights = weights or (1.0,) * len(values)
     if not values or len(values) != len(weights):
         raise ValueError(f"{len(values)} values with {len(weights)} weights: must be as many")
@@ -151,13 +165,8 @@ def discrete(values: tuple[float, ...], weights: tuple[float, ...] = ()) -> Dist
 
 #: by the names that a scenario file uses
 DISTRIBUTIONS: dict[str, Callable[..., Distribution]] = {
-    "normal": normal,
-    "lognormal": lognormal,
-    "uniform": uniform,
-    "triangular": triangular,
-    "discrete": discrete,
+    maker.__name__: maker for maker in (normal, lognormal, uniform, triangular, discrete)
 }
-
 
 #: arguments of the makers that are lists
 LISTS = ("values", "weights")
@@ -173,12 +182,12 @@ def from_table(table: Mapping[str, Any]) -> Distribution:
         hint = nearest_name(str(name), DISTRIBUTIONS)
         raise ValueError(f"distribution = {name}{hint}: one of {', '.join(DISTRIBUTIONS)}")
     maker = DISTRIBUTIONS[name]
-    given = {key: _argument(key, value) for key, value in table.items() if key != "distribution"}
+    numbers = {key: _argument(key, value) for key, value in table.items() if key != "distribution"}
     try:
-        inspect.signature(maker).bind(**given)
+        inspect.signature(maker).bind(**numbers)
     except TypeError as error:
         raise ValueError(f"{name}: {error}") from None
-    return maker(**given)
+    return maker(**numbers)
 
 
 def _argument(name: str, value: Any) -> float | tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""A batch of runs as columns of a table: one row a run, units in the names."""
+"""Table of metrics of a batch of runs: one row a run, units in the names of the columns."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -29,9 +29,14 @@ def parameter_columns(
 
 
 def metric_columns(report: Any, plant: Plant) -> dict[str, np.ndarray]:
-    """Figures of a batch in display units, one column an axis, e.g. ``following_rms_x_um``.
+    """Metrics of a batch in display units, one column an axis, e.g. ``following_rms_x_um``.
 
-    report: leaves (n,) or (n, axes). Lost runs are NaN.
+    Args:
+        report: Leaves (n,) or (n, axes), SI.
+        plant: Gives the names of the axes and the unit of the command.
+
+    Returns:
+        Column -> (n,), NaN where a run was lost.
     """
     batch = jax.tree.map(lambda x: np.asarray(x, float), report)
     table = {}

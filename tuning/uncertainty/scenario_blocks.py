@@ -59,9 +59,14 @@ _IDEAL = {"drive": ideal_drive, "sensor": ideal_sensor, "load": no_load}
 
 
 def with_blocks(case: Case, blocks: Mapping[str, Any]) -> Case:
-    """The case with blocks by name in the place of ideal ones. blocks: part -> name.
+    """The case with blocks by name in the place of ideal ones.
 
-    Raises ValueError for an unknown part or name, and where the loop has a block of its own.
+    Args:
+        case: A loop whose drive, sensor or load is ideal.
+        blocks: Part of the scenario -> name, both of `BLOCKS`.
+
+    Raises:
+        ValueError: For an unknown part or name, and where the loop has a block of its own.
     """
     for part, name in blocks.items():
         if part not in BLOCKS:

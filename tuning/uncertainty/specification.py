@@ -1,4 +1,4 @@
-"""A specification over the columns of a sweep: ``contour_max_um < 20 and finite``.
+"""Specification: a predicate over the columns of a sweep, ``contour_max_um < 20 and finite``.
 
 The language: columns, numbers, ``+ - * /``, comparisons (chained too), ``and or not``, brackets.
 Nothing else is evaluated. A run for which a column that is used has no value does not pass.
@@ -6,7 +6,7 @@ Nothing else is evaluated. A run for which a column that is used has no value do
 
 import ast
 import operator
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,21 +15,33 @@ from jaxstage.model.settings import nearest_name
 
 Columns = Mapping[str, np.ndarray]
 
-_COMPARE = {
-    ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal,
-    ast.Eq: np.equal, ast.NotEq: np.not_equal,
-}  # fmt: skip
-_COMBINE = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
-}  # fmt: skip
+_COMPARE: dict[type[ast.cmpop], np.ufunc] = {
+    ast.Lt: np.less,
+    ast.LtE: np.less_equal,
+    ast.Gt: np.greater,
+    ast.GtE: np.greater_equal,
+    ast.Eq: np.equal,
+    ast.NotEq: np.not_equal,
+}
+_COMBINE: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
 _LOGIC = {ast.And: np.logical_and.reduce, ast.Or: np.logical_or.reduce}
 #: characters at most, and the largest number
 LONGEST, LARGEST = 1000, 1e100
 
 
 class Specification(NamedTuple):
-    """names: the columns it reads. limits: column -> number that it is compared with, for drawings;
-    only of comparisons that all must hold."""
+    """A checked specification.
+
+    Attributes:
+        names: The columns it reads.
+        limits: Column -> number that it is compared with, for plots; only of comparisons that all
+            must hold.
+    """
 
     text: str
     names: tuple[str, ...]
@@ -46,10 +58,15 @@ class Specification(NamedTuple):
 
 
 def parse(text: str, columns: Mapping[str, type], option: str = "--spec") -> Specification:
-    """A checked specification. columns: name -> float or bool, what may be used. option: where the
-    text was given.
+    """Read and check a specification.
 
-    Raises ValueError in one line: what is wrong, and where.
+    Args:
+        text: As the user wrote it.
+        columns: Name -> float or bool, what may be used.
+        option: Of the command line, to begin an error with.
+
+    Raises:
+        ValueError: In one line: what is wrong, and where.
     """
     shown = text if len(text) <= 200 else text[:200] + "..."
     try:
@@ -73,10 +90,10 @@ def parse(text: str, columns: Mapping[str, type], option: str = "--spec") -> Spe
 def _kind(node: ast.expr, columns: Mapping[str, type], names: dict[str, None]) -> type:
     """bool or float; raises ValueError for anything outside of the language."""
 
-    def need(inner: ast.expr, wanted: type) -> None:
-        found = _kind(inner, columns, names)
-        if found is not wanted:
-            told = "a condition, not a number" if found is bool else "a number, not a condition"
+    def need(inner: ast.expr, expected: type) -> None:
+        kind = _kind(inner, columns, names)
+        if kind is not expected:
+            told = "a condition, not a number" if kind is bool else "a number, not a condition"
             raise ValueError(f"'{ast.unparse(inner)}' is {told}")
 
     match node:
@@ -148,12 +165,12 @@ def number(node: ast.expr, columns: Mapping[str, Any]) -> Any:
 def _limits(tree: ast.expr) -> dict[str, float]:
     """Column -> number, of plain comparisons joined by ``and``."""
     parts = tree.values if isinstance(tree, ast.BoolOp) and isinstance(tree.op, ast.And) else [tree]
-    found = {}
+    limits = {}
     for part in parts:
         match part:
             case ast.Compare(left=left, comparators=[right]):
                 sides = {type(side): side for side in (left, right)}
                 name, number = sides.get(ast.Name), sides.get(ast.Constant)
                 if isinstance(name, ast.Name) and isinstance(number, ast.Constant):
-                    found[name.id] = float(number.value)  # type: ignore[arg-type]
-    return found
+                    limits[name.id] = float(number.value)  # type: ignore[arg-type]
+    return limits

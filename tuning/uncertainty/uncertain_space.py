@@ -1,4 +1,4 @@
-"""What is uncertain: values of plant, load, sensor, drive, start and reference, and their draws.
+"""Uncertain parameters: of plant, load, sensor, drive, start and reference, and their draws.
 
 The spreads come from the study of a loop, or from the user's scenario file (`scenario_file`).
 Points of the unit cube (`designs`) become values by the quantiles of each distribution; correlated
@@ -26,8 +26,14 @@ from tuning.uncertainty.distributions import TAIL, Distribution, from_table
 class Uncertain(NamedTuple):
     """One uncertain setting.
 
-    relative: the distribution is that of factors on ``nominal``. shared: one draw for all its
-    elements. first: its place in the unit cube. columns, labels, unit: of its elements in a table.
+    Attributes:
+        path: Its full name, e.g. ``plant.mass``.
+        distribution: Of the values, or of factors on them.
+        relative: The distribution is that of factors on ``nominal``.
+        shared: One draw for all its elements.
+        nominal: The value before, SI.
+        first: Its place in the unit cube.
+        columns, labels, unit: Of its elements in a table.
     """
 
     path: str
@@ -57,8 +63,12 @@ class Uncertain(NamedTuple):
 
 
 class Space(NamedTuple):
-    """All that is uncertain. mixing: (dimensions, dimensions), the Cholesky factor of the
-    correlations, or None without any."""
+    """All that is uncertain.
+
+    Attributes:
+        uncertain: The settings.
+        mixing: Cholesky factor of the correlations, (dimensions, dimensions); None without any.
+    """
 
     uncertain: tuple[Uncertain, ...]
     mixing: np.ndarray | None
@@ -90,10 +100,15 @@ def study_spreads(loop: str) -> list[dict[str, Any]]:
 def space(
     case: Case, spreads: Sequence[Mapping[str, Any]], correlations: Sequence[Mapping[str, Any]]
 ) -> Space:
-    """The uncertain values of a case from tables as in a scenario file.
+    """The uncertain values of a case.
 
-    Raises ValueError, naming the spread, for an unknown setting, one given twice, an impossible
-    distribution or correlation, and for factors on a value that is 0.
+    Args:
+        case: The nominal plant.
+        spreads, correlations: Tables as in a scenario file.
+
+    Raises:
+        ValueError: Naming the spread, for an unknown setting, one that stands twice, an impossible
+            distribution or correlation, and for factors on a value that is 0.
     """
     items: list[Uncertain] = []
     for spread in spreads:
@@ -129,10 +144,15 @@ def _uncertain(case: Case, table: dict[str, Any], first: int) -> Uncertain:
     names = [element_names(index, nominal.shape, case) for index in np.ndindex(nominal.shape)]
     stem = path.replace(".", "_")
     return Uncertain(
-        path=path, distribution=distribution, nominal=nominal, first=first,
+        path=path,
+        distribution=distribution,
+        nominal=nominal,
+        first=first,
         columns=tuple(column_name("_".join((stem, *name)), unit) for name in names),
-        labels=tuple(" ".join((path, *name)) for name in names), unit=unit, **flags,
-    )  # fmt: skip
+        labels=tuple(" ".join((path, *name)) for name in names),
+        unit=unit,
+        **flags,
+    )
 
 
 #: the keys of a spread that are true or false
@@ -204,7 +224,9 @@ def draw(
 
 
 def _correlated(columns: list[np.ndarray], mixing: np.ndarray) -> list[np.ndarray]:
-    """Gaussian copula; summed element by element, as a matrix product depends on its size."""
+    """Gaussian copula: z = L z0 of the normal scores z0, L the Cholesky factor of the correlations
+    (Nelsen, An Introduction to Copulas, 2006). Summed element by element, as the rounding of a
+    matrix product depends on its size."""
     normal = [ndtri(np.clip(column, TAIL, 1 - TAIL)) for column in columns]
     mixed = []
     for d, column in enumerate(columns):
@@ -220,7 +242,7 @@ def run_seed(seed: int, run: int) -> int:
 
 
 class Batch(NamedTuple):
-    """Arguments of `rollouts`; ``in_axes`` has 0 where a leaf has a leading batch axis."""
+    """Arguments of `rollouts`; ``in_axes`` has 0 where a leaf has a leading batch axis (runs,)."""
 
     gains: Any
     scenario: Any
