@@ -47,6 +47,7 @@ from jaxstage.model.signals import Scenario as Scenario
 from jaxstage.model.signals import Setpoint as Setpoint
 from jaxstage.model.signals import Start as Start
 from jaxstage.simulate.batch import rollouts as rollouts
+from jaxstage import frequency as frequency
 from jaxstage.simulate.explain import Explanation as Explanation
 from jaxstage.simulate.explain import explain as explain
 from jaxstage.simulate.gradients import grad_check as grad_check

@@ -40,6 +40,7 @@ LAYERS = (
     ("jaxstage.simulate",),
     ("jaxstage.testing",),
     ("jaxstage.studies",),
+    ("jaxstage.frequency",),
     ("jaxstage.plot",),
     ("tuning.uncertainty",),
     ("tuning.store",),

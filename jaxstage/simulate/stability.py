@@ -59,13 +59,20 @@ def transition(loop: Loop, gains: Any, scenario: Scenario, path: Any, after: int
 
     first = start(loop, gains, scenario, path)
     carry, _ = scan_ticks(replace(loop, segment=0), after, advance, first)
+    z, rebuild = as_vector(carry)
+    return jax.jacfwd(lambda z: vector_of(advance(rebuild(z))[0]))(z)
+
+
+def vector_of(carry: Carry) -> Array:
+    """z (n,): every real number that a tick hands to the next, but for the sums of metrics."""
+    return ravel_pytree(_split(carry)[0])[0]
+
+
+def as_vector(carry: Carry) -> tuple[Array, Callable[[Array], Carry]]:
+    """z (n,) of a carry, and the function that puts another z in its place."""
     moving, still = _split(carry)
     vector, shaped = ravel_pytree(moving)
-
-    def period(z: Array) -> Array:
-        return ravel_pytree(_split(advance(_joined(carry, shaped(z), still))[0])[0])[0]
-
-    return jax.jacfwd(period)(vector)
+    return vector, lambda z: _joined(carry, shaped(z), still)
 
 
 def _split(carry: Carry) -> tuple[list[Array | None], list[Array | None]]:
