@@ -19,6 +19,7 @@ testing      the contract of a law, as checks    system       precision, devices
 
 __version__ = "0.2.0"
 
+from jaxstage import frequency as frequency
 from jaxstage.metrics import columns as columns
 from jaxstage.metrics import record as record
 from jaxstage.metrics import together as together
@@ -47,7 +48,6 @@ from jaxstage.model.signals import Scenario as Scenario
 from jaxstage.model.signals import Setpoint as Setpoint
 from jaxstage.model.signals import Start as Start
 from jaxstage.simulate.batch import rollouts as rollouts
-from jaxstage import frequency as frequency
 from jaxstage.simulate.explain import Explanation as Explanation
 from jaxstage.simulate.explain import explain as explain
 from jaxstage.simulate.gradients import grad_check as grad_check

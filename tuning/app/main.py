@@ -12,6 +12,7 @@ from tuning.app.commands.compare import compare
 from tuning.app.commands.demo import demo
 from tuning.app.commands.doctor import doctor
 from tuning.app.commands.export import export
+from tuning.app.commands.frequency import frequency
 from tuning.app.commands.list import list_loops
 from tuning.app.commands.precision import precision
 from tuning.app.commands.replay import replay
@@ -41,11 +42,25 @@ EXAMPLES = {
     '--spec "contour_max_um < 60 and finite" --target 0.5 --out swept',
     "replay": "jaxstage replay swept --worst 1",
     "tune": "jaxstage tune pi-circle --budget 60 --out tuned",
+    "frequency": "jaxstage frequency cascade-circle --at 0.05",
     "export": "jaxstage export pi-circle --precision single --out c",
     "report": "jaxstage report swept",
     "doctor": "jaxstage doctor",
 }
-BODIES = (demo, list_loops, run, compare, precision, sweep, replay, tune, export, report, doctor)
+BODIES = (
+    demo,
+    list_loops,
+    run,
+    compare,
+    precision,
+    sweep,
+    replay,
+    tune,
+    frequency,
+    export,
+    report,
+    doctor,
+)
 
 app = typer.Typer(
     no_args_is_help=True,
