@@ -70,7 +70,7 @@ class FrequencyOptions:
 
 
 def frequency(options: FrequencyOptions) -> None:
-    """Margins, bandwidth and stiffness, with Bode and Nyquist plots."""
+    """Margins, bandwidth, stiffness; Bode and Nyquist plots."""
     from jaxstage.system.runtime import configure
     from tuning.app.messages import print_json, warn
     from tuning.store.gains_file import read_gains
