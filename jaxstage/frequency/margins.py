@@ -12,7 +12,7 @@ frequencies and refined on the response itself, never from polynomials.
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
@@ -105,12 +105,14 @@ def crossings(f: Callable[[np.ndarray], np.ndarray], omega: np.ndarray) -> list[
     """Where a real function of frequency changes its sign: on the grid, then by bisection."""
     values = f(omega)
     at = np.flatnonzero((values[:-1] * values[1:] < 0) | (values[:-1] == 0))
-    return [
-        float(omega[k])
-        if values[k] == 0
-        else float(brentq(lambda w: f(np.array([w]))[0], omega[k], omega[k + 1], xtol=1e-12))
-        for k in at
-    ]
+
+    def root(k: int) -> float:
+        if values[k] == 0:
+            return float(omega[k])
+        found: Any = brentq(lambda w: f(np.array([w]))[0], omega[k], omega[k + 1], xtol=1e-12)
+        return float(found)
+
+    return [root(k) for k in at]
 
 
 def loop_margins(sensitivity: Response, omega: np.ndarray) -> LoopMargins:
@@ -132,7 +134,7 @@ def loop_margins(sensitivity: Response, omega: np.ndarray) -> LoopMargins:
 
     factors = [
         Peak(-1 / at(w).real, w)
-        for w in crossings(lambda w: loop_gain(w).imag, omega)
+        for w in crossings(lambda w: np.imag(loop_gain(w)), omega)
         if at(w).real < -SILENT
     ]
     up = min((p for p in factors if p.value > 1), default=None)

@@ -60,20 +60,21 @@ class Modal(NamedTuple):
         z = np.exp(1j * omega * float(self.model.dt))[..., None]
         if self.left.size or not self.eigenvalues.size:
             scaled = self.right / (z - self.eigenvalues)[..., None, :]
-            return scaled @ self.left + self.model.d
-        shifted = z[..., None] * np.eye(len(self.model.a)) - self.model.a
-        return self.model.c @ np.linalg.solve(shifted, self.model.b + 0j) + self.model.d
+            return scaled @ self.left + np.asarray(self.model.d)
+        a, b, c, d = (np.asarray(x) for x in self.model[:4])
+        return c @ np.linalg.solve(z[..., None] * np.eye(len(a)) - a, b + 0j) + d
 
 
 def modal(model: LinearModel) -> Modal:
     """The model made ready for many frequencies: n^3 once, n for each."""
     small = connected(model)
-    values, vectors = np.linalg.eig(small.a) if len(small.a) else (np.empty(0), np.empty((0, 0)))
+    a, b, c = (np.asarray(x) for x in small[:3])
+    values, vectors = np.linalg.eig(a) if len(a) else (np.empty(0), np.empty((0, 0)))
     if len(values) and np.linalg.cond(vectors) > CONDITION:
         empty = np.empty((0, 0))
         return Modal(small, values, empty, empty)
-    left = np.linalg.solve(vectors, small.b + 0j) if len(values) else small.b
-    return Modal(small, values, left, small.c @ vectors)
+    left = np.linalg.solve(vectors, b + 0j) if len(values) else b
+    return Modal(small, values, left, c @ vectors)
 
 
 def connected(model: LinearModel) -> LinearModel:

@@ -89,7 +89,7 @@ def nyquist(seen: FrequencyView) -> Figure:
     for name, colour, s in zip(seen.axes, AXIS_COLOURS, _responses(seen).T, strict=False):
         with np.errstate(divide="ignore"):
             gain = 1 / s - 1
-        ax.plot(gain.real, gain.imag, color=colour, label=f"axis {name}")
+        ax.plot(np.real(gain), np.imag(gain), color=colour, label=f"axis {name}")
     ax.plot(-1, 0, "+", color="#B00020", markersize=12, markeredgewidth=2)
     ax.set(xlim=(-3, 1.5), ylim=(-2.25, 2.25), aspect="equal")
     _dress(ax, "Re L", "Im L")

@@ -113,6 +113,10 @@ def test_export(command, place, monkeypatch):
     assert "make check" in example(command, "export", place, monkeypatch).out
 
 
+def test_the_example_of_frequency(command, place, monkeypatch):
+    assert "phase margin" in example(command, "frequency", place, monkeypatch).out
+
+
 def test_run_and_its_report(command, place, monkeypatch):
     example(command, "run", place, monkeypatch, **LAP)
     answer = command("report", "out")
