@@ -112,7 +112,7 @@ def crossings(f: Callable[[np.ndarray], np.ndarray], omega: np.ndarray) -> list[
         found: Any = brentq(lambda w: f(np.array([w]))[0], omega[k], omega[k + 1], xtol=1e-12)
         return float(found)
 
-    return [root(k) for k in at]
+    return [root(int(k)) for k in at]
 
 
 def loop_margins(sensitivity: Response, omega: np.ndarray) -> LoopMargins:

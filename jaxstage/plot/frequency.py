@@ -81,11 +81,12 @@ def nyquist(seen: FrequencyView) -> Figure:
     """L in the complex plane near -1, with the unit circle and the circle of Ms = 1.6."""
     drawn = _sheet(seen, "Nyquist plot of L", 1, (7.6, 7.6))
     (ax,) = drawn.axes
-    turn = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
-    ax.plot(turn.real, turn.imag, color=REFERENCE, linewidth=0.8, label="|L| = 1")
+    angle = np.linspace(0, 2 * math.pi, 361)
+    across, up = np.cos(angle), np.sin(angle)
+    ax.plot(across, up, color=REFERENCE, linewidth=0.8, label="|L| = 1")
     for ms in CIRCLES:
-        circle = -1 + turn / ms
-        ax.plot(circle.real, circle.imag, "--", color="#888888", linewidth=1, label=f"Ms = {ms:g}")
+        label = f"Ms = {ms:g}"
+        ax.plot(across / ms - 1, up / ms, "--", color="#888888", linewidth=1, label=label)
     for name, colour, s in zip(seen.axes, AXIS_COLOURS, _responses(seen).T, strict=False):
         with np.errstate(divide="ignore"):
             gain = 1 / s - 1
