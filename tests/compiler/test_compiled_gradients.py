@@ -9,7 +9,7 @@ import jaxstage as js
 from benchmarks.agreement import spread
 from jaxstage.compiler.cxx.kernels import kernel
 from jaxstage.compiler.frontend.step_program import is_real
-from jaxstage.compiler.runtime import jax_primitives
+from jaxstage.compiler.runtime import fallback, jax_primitives
 from jaxstage.model.blocks import compiled, scan
 from jaxstage.model.fields import replace
 from tests.helpers.compiled_cases import TICKS, case, close, many, program, run, shared_by_all
@@ -88,7 +88,11 @@ def test_second_derivatives_and_those_by_the_path_are_those_of_the_scan():
 
         return jax.jit(lambda x, y: (jax.grad(jax.grad(error))(x, y), jax.grad(error, 1)(x, y)))
 
-    expected, found = (of(e)(1.0, 0.0) for e in (scan, compiled))
+    fallback._warn.cache_clear()
+    with pytest.warns(RuntimeWarning) as warned:
+        expected, found = (of(e)(1.0, 0.0) for e in (scan, compiled))
+    told = {str(w.message).removeprefix("runs as a slower lax.scan: ") for w in warned}
+    assert told == {jax_primitives.NO_KERNEL, jax_primitives.NO_SECOND} and len(warned) == 2
     assert all(abs(x) > 0 for x in expected)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 

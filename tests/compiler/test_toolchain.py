@@ -1,6 +1,7 @@
 """The C++ compiler and the cache of kernels: what CXX may hold, what is damaged or not ours."""
 
 import os
+import platform
 import shlex
 import stat
 import time
@@ -291,8 +292,21 @@ FUNCTIONS = {
 }
 
 
+#: options that make a kernel one of an older processor, or without the vector library of glibc
+OLDER = ("-mno-avx512f", "-mno-avx", "-DNO_LIBMVEC") if platform.machine() == "x86_64" else ()
+
+
+@pytest.fixture(params=["", *OLDER], ids=lambda option: option or "as it is")
+def option(request, monkeypatch):
+    """Kernels with one more option of the compiler."""
+    monkeypatch.setattr(toolchain, "FLAGS", (*toolchain.FLAGS, *request.param.split()))
+    toolchain.build.cache_clear()
+    yield
+    toolchain.build.cache_clear()
+
+
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
-def test_every_function_has_a_kernel_that_loads(dtype):
+def test_every_function_has_a_kernel_that_loads(dtype, option):
     random = np.random.default_rng(0)
     u = jnp.asarray(random.uniform(-0.99, 0.99, 40), dtype)
     w = jnp.asarray(random.uniform(1.01, 20.0, 40), dtype)
