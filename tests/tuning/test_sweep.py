@@ -185,6 +185,15 @@ def test_a_killed_worker_costs_only_its_chunk(whole, tmp_path, cache, monkeypatc
     assert table(folder).equals(table(whole))
 
 
+def test_workers_listen_to_this_machine_alone():
+    with local_workers(1):
+        client = distributed.get_client()
+        host = client.cluster.scheduler.address
+        assert host.startswith("tcp://127.0.0.1:")
+        assert all(w.startswith("tcp://127.0.0.1:") for w in client.scheduler_info()["workers"])
+        assert "127.0.0.1" in client.dashboard_link
+
+
 def test_no_scheduler_is_one_line():
     nobody = scheduler_at("tcp://127.0.0.1:9", timeout=0.5)
     with pytest.raises(OSError, match=r"--scheduler tcp://127\.0\.0\.1:9: "), nobody:
@@ -242,6 +251,52 @@ def test_a_chunk_that_is_not_whole_is_computed_again(whole, tmp_path):
     store.create(folder, text(), resume=True)
     assert sweep(text(), folder) == 9
     assert table(folder).equals(table(whole))
+
+
+def test_a_flipped_bit_is_never_a_number(whole, tmp_path):
+    """Wherever a bit of a chunk flips, it is missing and computed again."""
+    folder, source = tmp_path / "out", random.Random(5)
+    shutil.copytree(whole, folder)
+    file, plan, spoilt = files(folder)[1], build(text()), 0
+    written = file.read_bytes()
+    for _ in range(150):
+        flipped = bytearray(written)
+        flipped[source.randrange(len(written))] ^= 1 << source.randrange(8)
+        file.write_bytes(flipped)
+        spoilt += store.missing(folder, plan) == [1]
+    assert spoilt == 150
+    assert sweep(text(), folder) == 3
+    assert table(folder).equals(table(whole))
+
+
+@pytest.mark.parametrize("name", [".sweep.toml.0123456789ab.partial", "sweep.toml.partial"])
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_kill_before_the_configuration_blocks_nothing(tmp_path, name, resume):
+    (tmp_path / name).write_text("jaxst")
+    store.create(tmp_path, text(), resume)
+    assert store.read_configuration(tmp_path) == text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("runs = 18", 'runs = "18"'),
+        ("runs = 18", "runs = -1"),
+        ("runs = 18", "runs = true"),
+        ('design = "sobol"', 'design = ["sobol"]'),
+        ('design = "sobol"', 'design = "soool"'),
+        ("[[loop]]", "[loop]"),
+        ("[loop.timing]", "[loop.tining]"),
+        ("[loop.values]", "[[loop.values]]"),
+        ("seed = 0", "seed = []"),
+        ('path = "plant.mass"', "path = 3"),
+    ],
+)
+def test_a_damaged_configuration_is_one_line(old, new):
+    assert old in text()
+    with pytest.raises(ValueError) as error:
+        build(text().replace(old, new))
+    assert "\n" not in str(error.value)
 
 
 def test_a_full_disk_keeps_what_was_finished(whole, tmp_path, monkeypatch):
@@ -348,6 +403,6 @@ def test_a_changed_row_is_noticed(whole, tmp_path):
     rows = pq.read_table(file)
     place = rows.column_names.index("contour_max_um")
     wrong = rows.set_column(place, "contour_max_um", pa.array([1.0, 2.0, 3.0]))
-    pq.write_table(wrong, file)
+    store.write(folder, build(text()), 0, wrong)
     (row,) = replays.replay(folder, build(text()), 0, [1])
     assert row["identical"] is False and row["largest_difference"] > 0.1

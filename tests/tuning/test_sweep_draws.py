@@ -98,6 +98,21 @@ def test_an_impossible_distribution_is_refused(table, says):
 
 
 @pytest.mark.fast
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"distribution": ["uniform"]}, "distribution = ['uniform']"),
+        ({"distribution": "uniform", "low": 0, "high": 10**400}, "high: a number of 1329 bits"),
+        ({"distribution": "lognormal", "median": 1e300, "deviation": 99.0}, "too wide"),
+    ],
+)
+def test_what_is_no_distribution_at_all_is_refused(table, says):
+    with pytest.raises(ValueError) as error:
+        from_table(table)
+    assert says in str(error.value)
+
+
+@pytest.mark.fast
 @pytest.mark.parametrize("name", DESIGNS)
 def test_a_row_depends_on_seed_and_number_alone(name):
     dimensions, runs = 3, {"corners": 8, "saltelli": 40}.get(name, 64)
@@ -141,6 +156,7 @@ def test_designs_are_what_their_names_say():
         ("saltelli", 100, "needs 2^k x 14 runs, e.g. 112"),
         ("grid", 100, "must be one of random, lhs, sobol, corners, saltelli"),
         ("sobol", 0, "-n 0: must be >= 1"),
+        ("sobol", 10**12, "must be <= 20000000 runs of all loops together"),
     ],
 )
 def test_a_design_that_does_not_fit_is_refused(design, runs, says):
@@ -233,8 +249,8 @@ def test_a_bad_spread_is_named(case, spread, says):
     ("table", "says"),
     [
         ({"between": ["plant.mass", "plant.load"]}, "between = .two settings. and value"),
-        ({"between": ["plant.mass", "plant.load"], "value": 1.0}, "must be in -1..1"),
-        ({"between": [1, 2], "value": 2}, "correlation of 1 and 2 = 2: must be in -1..1"),
+        ({"between": ["plant.mass", "plant.load"], "value": 1.0}, "= 1.0: must be > -1 and < 1"),
+        ({"between": [1, 2], "value": 2}, "correlation of 1 and 2 = 2: must be > -1 and < 1"),
         ({"between": ["plant.mass", "plant.damping"], "value": 0.1}, "not among the spreads"),
         ({"between": ["plant.mass", "plant.load.x"], "value": 0.1}, "2 and 1 numbers"),
         ({"between": ["plant.mass", "plant.mass"], "value": 0.1}, "different ones"),
@@ -351,6 +367,9 @@ def test_a_scenario_file_is_all_in_the_configuration(tmp_path):
         ('"plant.mass"', '"plant.maas"', "scenario.toml:8: unknown setting 'plant.maas'"),
         ("damping = 0.11", "damping = -1", "scenario.toml:6: plant.damping (x)"),
         ('"current_drive"', '"servo"', "scenario.toml:3: blocks.drive = servo"),
+        ('"current_drive"', '["servo"]', "scenario.toml:3: blocks.drive = ['servo']: must be one"),
+        ("[blocks]\ndrive =", "blocks =", "scenario.toml:2: write a table: [blocks], then drive"),
+        ("values = [0, 2]", "values = [0, 1e9]", "drive.delay = 1e+09 periods: must be <= 100000"),
     ],
 )
 def test_a_bad_scenario_file_is_one_line(tmp_path, old, new, says):

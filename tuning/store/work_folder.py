@@ -38,7 +38,7 @@ def create(folder: Path, kind: FolderKind, text: str, resume: bool) -> None:
     Raises ValueError for a folder that holds something else, another configuration (with what
     differs), or this one without ``resume``; nothing is touched then.
     """
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+    if not folder.exists() or (folder.is_dir() and all(map(is_leftover, folder.iterdir()))):
         if resume and not folder.exists():
             raise ValueError(f"--resume: {folder} does not exist")
         folder.mkdir(parents=True, exist_ok=True)
@@ -54,6 +54,11 @@ def create(folder: Path, kind: FolderKind, text: str, resume: bool) -> None:
         )
     if not resume:
         raise ValueError(f"{folder} holds this {kind.noun} already: --resume goes on with it")
+
+
+def is_leftover(file: Path) -> bool:
+    """Whether a file is what a writer that was killed left unfinished."""
+    return file.name.endswith(".partial")
 
 
 def read_configuration(folder: Path, kind: FolderKind) -> str:

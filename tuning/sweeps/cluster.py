@@ -11,7 +11,8 @@ _MISSING = "--workers and --scheduler need Dask: pip install 'jaxstage[cluster]'
 
 @contextmanager
 def local_workers(count: int) -> Iterator[Executor]:
-    """Worker processes on this machine, started anew when one dies. Raises ValueError for < 1."""
+    """Worker processes on this machine, started anew when one dies; nobody else reaches them.
+    Raises ValueError for < 1."""
     if count < 1:
         raise ValueError(f"--workers {count}: must be >= 1")
     try:
@@ -23,7 +24,8 @@ def local_workers(count: int) -> Iterator[Executor]:
             n_workers=count,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=":0",
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
             memory_limit=0,
             silence_logs=50,
         ) as cluster,

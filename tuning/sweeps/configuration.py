@@ -38,6 +38,8 @@ from tuning.uncertainty.uncertain_space import (
     study_spreads,
 )
 
+#: runs of a sweep: every draw is checked before the first is simulated
+MOST_RUNS = 20_000_000
 #: values drawn at once where all are checked before a sweep
 _BLOCK = 65536
 
@@ -105,6 +107,8 @@ def configure_sweep(request: SweepRequest) -> str:
         raise ValueError(f"--design {request.design}: must be one of {', '.join(DESIGNS)}")
     if len(set(request.loops)) < len(request.loops) or not request.loops:
         raise ValueError("a sweep needs loops, each named once")
+    if request.runs * max(len(request.loops), 1) > MOST_RUNS:
+        raise ValueError(f"-n {request.runs}: must be <= {MOST_RUNS} runs of all loops together")
     if request.precision not in ("single", "double"):
         raise ValueError(f"precision = '{request.precision}': must be single or double")
     with jax.enable_x64(request.precision == "double"):
@@ -159,12 +163,23 @@ def _check_space(case: Case, spreads: Sequence[Mapping[str, Any]], scenario: Sce
 def build(text: str) -> SweepPlan:
     """The plan of a configuration, in the precision it asks for; the identical one again for equal
     text, so that nothing is compiled twice. Raises ValueError for one of another version."""
-    table = tomllib.loads(text)
+    try:
+        return _build(text, tomllib.loads(text))
+    except (LookupError, TypeError, AttributeError, ArithmeticError, OSError) as error:
+        raise ValueError(
+            f"the configuration of the sweep is damaged ({type(error).__name__}: {error})"
+        ) from None
+
+
+def _build(text: str, table: dict[str, Any]) -> SweepPlan:
     for name, version in (("jaxstage", __version__), ("jax", jax.__version__)):
         if table[name] != version:
             raise ValueError(
                 f"the sweep was configured with {name} {table[name]}, here is {version}"
             )
+    for name, least in (("runs", 1), ("chunk", 1), ("seed", 0)):
+        if type(table[name]) is not int or table[name] < least:
+            raise ValueError(f"the configuration of the sweep is damaged: {name} = {table[name]}")
     with jax.enable_x64(table["precision"] == "double"):
         cases = tuple(case_of(loop, table["blocks"]) for loop in table["loop"])
     spaces = tuple(space(case, table["spread"], table["correlation"]) for case in cases)
@@ -220,4 +235,7 @@ def batch_of(
 
 def precision_of(text: str) -> str:
     """The precision that a configuration asks for; JAX need not have started."""
-    return tomllib.loads(text)["precision"]
+    precision = tomllib.loads(text)["precision"]
+    if precision not in ("single", "double"):
+        raise ValueError(f"precision = {precision!r}: must be single or double")
+    return precision

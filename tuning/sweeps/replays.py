@@ -94,7 +94,7 @@ def _stored(
     index = loop * plan.chunks + run // plan.size
     if not store.is_whole(folder, plan, index):
         return None
-    table = pq.read_table(store.chunk_file(folder, plan, index))
+    table = store.read_rows(store.chunk_file(folder, plan, index))
     devices = int((table.schema.metadata or {}).get(b"devices", b"1"))
     return table.slice(run % plan.size, 1).to_pylist()[0], devices
 

@@ -4,9 +4,12 @@
     DIR/runs/dfcmac-circle/00000.parquet      one row a run; Parquet readers take DIR/runs/LOOP
 
 A chunk is written beside its place, flushed to the disk and renamed: whatever stops the process,
-files are whole. Nothing but this module writes there.
+files are whole. A checksum covers the file, and one each page: what the disk spoilt counts as
+missing. Nothing but this module writes there.
 """
 
+import functools
+import hashlib
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -21,6 +24,8 @@ from tuning.sweeps.configuration import SweepPlan
 
 KIND = folders.FolderKind("sweep.toml", "sweep", ("jaxstage", "precision", "runs", "loop"))
 RUNS = "runs"
+#: in the metadata of a chunk: SHA-256 of the rest of the file
+SEAL = b"file_sha256"
 
 
 def create(folder: Path, text: str, resume: bool) -> None:
@@ -48,6 +53,12 @@ def chunk_file(folder: Path, plan: SweepPlan, index: int) -> Path:
     return folder / RUNS / plan.table["loop"][loop]["name"] / f"{part:05d}.parquet"
 
 
+def remove_leftovers(folder: Path) -> None:
+    """Remove what killed writers left unfinished. Only for who holds the lock."""
+    for file in folder.rglob(".*.partial"):
+        file.unlink(missing_ok=True)
+
+
 def missing(folder: Path, plan: SweepPlan) -> list[int]:
     """The chunks that are not there, or not whole, or of another configuration."""
     every = range(plan.chunks * len(plan.cases))
@@ -55,23 +66,57 @@ def missing(folder: Path, plan: SweepPlan) -> list[int]:
 
 
 def is_whole(folder: Path, plan: SweepPlan, index: int) -> bool:
-    """Whether a chunk is there with all its rows, of this configuration."""
+    """Whether a chunk is there with all its rows, as they were written, of this configuration."""
     _, start, stop = plan.place(index)
+    file = chunk_file(folder, plan, index)
     try:
-        footer = pq.read_metadata(chunk_file(folder, plan, index))
-    except (OSError, pa.ArrowInvalid):
+        status = file.stat()
+    except OSError:
         return False
-    same = (footer.metadata or {}).get(b"configuration_sha256") == digest(plan.text).encode()
-    return same and footer.num_rows == stop - start
+    content = _content(file, status.st_size, status.st_mtime_ns)
+    return content == (digest(plan.text), stop - start)
+
+
+@functools.lru_cache(maxsize=65536)
+def _content(file: Path, size: int, changed: int) -> tuple[str, int] | None:
+    """Configuration and number of rows of a file that is as it was written; None for any other.
+    size, changed: of the file, which is read again when they differ."""
+    try:
+        data = file.read_bytes()
+        if data != _sealed(data):
+            return None
+        footer = pq.read_metadata(pa.BufferReader(data))
+    except (OSError, ValueError):
+        return None
+    name = (footer.metadata or {}).get(b"configuration_sha256", b"")
+    return name.decode(errors="replace"), footer.num_rows
+
+
+def _sealed(data: bytes) -> bytes:
+    """A Parquet file with the SHA-256 of itself, that number left out, in its metadata. Raises
+    ValueError for one without a place for it."""
+    begin = data.rindex(SEAL) + len(SEAL)
+    begin = data.index(b"0x", begin) + 2
+    end = begin + 64
+    sum_ = hashlib.sha256(data[:begin] + data[end:]).hexdigest()
+    return data[:begin] + sum_.encode() + data[end:]
+
+
+def read_rows(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """The rows of a file, its checksums verified. columns: only these, where it has them."""
+    with pq.ParquetFile(file, page_checksum_verification=True) as parquet:
+        return parquet.read(None if columns is None else list(columns))
 
 
 def write(folder: Path, plan: SweepPlan, index: int, rows: pa.Table) -> None:
     """Keep a chunk."""
     data = pa.BufferOutputStream()
-    pq.write_table(rows, data, compression="zstd")
+    seal = {SEAL: b"0x" + 64 * b"0"}
+    rows = rows.replace_schema_metadata({**(rows.schema.metadata or {}), **seal})
+    pq.write_table(rows, data, compression="zstd", write_page_checksum=True)
     file = chunk_file(folder, plan, index)
     file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file, data.getvalue().to_pybytes())
+    write_whole(file, _sealed(data.getvalue().to_pybytes()))
 
 
 def present(folder: Path, plan: SweepPlan) -> list[Path]:
@@ -85,8 +130,7 @@ def read(folder: Path, plan: SweepPlan, columns: Sequence[str] | None = None) ->
 
     Raises ValueError where there are none.
     """
-    names = None if columns is None else list(columns)
-    tables = [pq.read_table(file, columns=names) for file in present(folder, plan)]
+    tables = [read_rows(file, columns) for file in present(folder, plan)]
     if not tables:
         raise ValueError(f"{folder} has no runs yet: sweep with --resume goes on with it")
     # laws have metrics of their own: null in the rows of the others

@@ -162,6 +162,7 @@ def sweep(
     """
     plan = build(text)
     with store.locked(folder):
+        store.remove_leftovers(folder)
         todo = store.missing(folder, plan)
         rows = [stop - start for _, start, stop in map(plan.place, todo)]
         total = plan.table["runs"] * len(plan.cases)

@@ -131,12 +131,12 @@ def lognormal(
         return np.exp(logarithm.quantile(p))
 
     cut = "" if low == 0 and math.isinf(high) else f", cut to {low:g}..{high:g}"
-    return Distribution(
-        text=f"log-normal {median:g}, deviation {deviation:g}{cut}",
-        quantile=quantile,
-        low=math.exp(logarithm.low),
-        high=math.exp(logarithm.high),
-    )
+    try:
+        ends = math.exp(logarithm.low), math.exp(logarithm.high)
+    except OverflowError:
+        raise ValueError(f"median = {median:g}, deviation = {deviation:g}: too wide") from None
+    text = f"log-normal {median:g}, deviation {deviation:g}{cut}"
+    return Distribution(text=text, quantile=quantile, low=ends[0], high=ends[1])
 
 
 @functools.cache
@@ -178,7 +178,7 @@ def from_table(table: Mapping[str, Any]) -> Distribution:
     Raises ValueError for an unknown name, an argument that is missing or unknown, no number.
     """
     name = table.get("distribution")
-    if name not in DISTRIBUTIONS:
+    if not isinstance(name, str) or name not in DISTRIBUTIONS:
         hint = nearest_name(str(name), DISTRIBUTIONS)
         raise ValueError(f"distribution = {name}{hint}: one of {', '.join(DISTRIBUTIONS)}")
     maker = DISTRIBUTIONS[name]
@@ -201,4 +201,7 @@ def _argument(name: str, value: Any) -> float | tuple[float, ...]:
 def _number(name: str, value: Any) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool):
         raise ValueError(f"{name} = {value}: must be a number")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError(f"{name}: a number of {value.bit_length()} bits, must be finite") from None

@@ -20,6 +20,9 @@ from jaxstage.model.fields import replace
 from jaxstage.model.settings import nearest_name
 from jaxstage.studies import Case
 
+#: control periods that a drive may delay
+MOST_DELAY = 100_000
+
 
 def _number(value: float) -> Array:
     return jnp.asarray(value, float)
@@ -71,14 +74,17 @@ def with_blocks(case: Case, blocks: Mapping[str, Any]) -> Case:
     for part, name in blocks.items():
         if part not in BLOCKS:
             raise ValueError(f"'blocks.{part}': must be one of {', '.join(BLOCKS)}")
-        if name not in BLOCKS[part]:
+        if not isinstance(name, str) or name not in BLOCKS[part]:
             hint = nearest_name(str(name), BLOCKS[part])
             raise ValueError(
                 f"blocks.{part} = {name}{hint}: must be one of {', '.join(BLOCKS[part])}"
             )
         own = getattr(case.loop, part)
         if own != _IDEAL[part]:
-            raise ValueError(f"blocks.{part} = {name}: {case.name} has its own, {own.name}")
+            raise ValueError(
+                f"blocks.{part} = {name}: {case.name} has its own, whose values may be set and "
+                f"spread: {own.name}"
+            )
         definition, params = BLOCKS[part][name](len(case.loop.plant.axes))
         case = case._replace(
             loop=replace(case.loop, **{part: definition}),
@@ -88,9 +94,14 @@ def with_blocks(case: Case, blocks: Mapping[str, Any]) -> Case:
 
 
 def with_max_delay(case: Case, periods: float) -> Case:
-    """The case with a `current_drive` that can delay so many control periods; any other stays."""
+    """The case with a `current_drive` that can delay so many control periods; any other stays.
+
+    Raises ValueError for more than `MOST_DELAY`: the drive keeps a command for each.
+    """
     drive = case.loop.drive
     known = drive in (current_drive(), current_drive(drive.max_delay))
     if not known or not drive.max_delay < periods < math.inf:
         return case
+    if periods > MOST_DELAY:
+        raise ValueError(f"drive.delay = {periods:g} periods: must be <= {MOST_DELAY}")
     return case._replace(loop=replace(case.loop, drive=current_drive(math.ceil(periods))))

@@ -81,6 +81,10 @@ def read_scenario(file: Path | None) -> ScenarioFile:
             raise ValueError(f"{toml.place(inner or name)}: write [[{name}]], a table for each")
     for name in [name for name in values if name.startswith("blocks.")]:
         blocks[name.removeprefix("blocks.")] = values.pop(name)
+    if "blocks" in values:
+        raise ValueError(
+            f'{toml.place("blocks")}: write a table: [blocks], then drive = "current_drive"'
+        )
     seed = values.pop("seed", None)
     if seed is not None and (type(seed) is not int or not 0 <= seed < 2**32):
         raise ValueError(

@@ -6,6 +6,7 @@ Nothing else is evaluated. A run for which a column that is used has no value do
 
 import ast
 import operator
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -31,7 +32,7 @@ _COMBINE: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 }
 _LOGIC = {ast.And: np.logical_and.reduce, ast.Or: np.logical_or.reduce}
 #: characters at most, and the largest number
-LONGEST, LARGEST = 1000, 1e100
+LONGEST, LARGEST = 1000, sys.float_info.max
 
 
 class Specification(NamedTuple):

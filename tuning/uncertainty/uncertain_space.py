@@ -177,7 +177,7 @@ def _mixing(
             raise ValueError("a correlation has between = [two settings] and value = -1..1")
         if not isinstance(value, int | float) or not -1 < value < 1:
             both = " and ".join(map(str, between))
-            raise ValueError(f"correlation of {both} = {value}: must be in -1..1")
+            raise ValueError(f"correlation of {both} = {value}: must be > -1 and < 1")
         one, other = (_places(name, items) for name in between)
         if len(one) != len(other) or set(one) & set(other):
             raise ValueError(
