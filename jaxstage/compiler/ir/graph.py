@@ -12,6 +12,8 @@ operations and what they mean stand in `ops`. Leaves have a value in place of ar
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from jaxstage.compiler.ir.constant_folding import fold
 from jaxstage.compiler.ir.intervals import value_range
 from jaxstage.compiler.ir.node import LIMITS, Node
@@ -41,7 +43,7 @@ class Graph(NamedTuple):
 
     def const(self, value: Any, kind: str) -> Node:
         """A constant."""
-        number: float = float(value) if kind == "f" else int(value)
+        number: float = self.rounded(float(value)) if kind == "f" else int(value)
         number = bool(value) if kind == "b" else number
         if math.isnan(number):
             return self._numbered("const", kind, (), number, (*LIMITS["f"], True))
@@ -73,6 +75,13 @@ class Graph(NamedTuple):
         """The element ``offset + index`` of an array in memory. index: in range, always."""
         facts = self._outside(kind, finite)
         return self._numbered("load", kind, (index,), (source, offset), facts)
+
+    def rounded(self, value: float) -> float:
+        """A real in the precision of the graph."""
+        if self.largest == LARGEST[False]:
+            return value
+        with np.errstate(over="ignore"):
+            return float(np.float32(value))
 
     def _outside(self, kind: str, finite: bool) -> Facts:
         """What is known of a number that comes from outside."""
@@ -122,7 +131,7 @@ class Graph(NamedTuple):
         if node is None:
             low, high, nan = facts
             if kind == "f":
-                low, high = float(low), float(high)
+                low, high = self.rounded(float(low)), self.rounded(float(high))
             node = Node(op, kind, args, value, low, high, nan, len(self.nodes))
             self.nodes.append(node)
             self.table[key] = node

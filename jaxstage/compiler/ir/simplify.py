@@ -94,7 +94,9 @@ def mul(g: "Graph", kind: str, a: Args) -> Node | None:
 def div(g: "Graph", kind: str, a: Args) -> Node | None:
     """x / y; a power of two is a product."""
     x, y = a
-    if _is(y, 1) or (_zero(x) and kind == "f"):
+    if _is(y, 1):
+        return x
+    if _zero(x) and kind == "f" and not y.nan and (y.low > 0 or y.high < 0):
         return x
     if kind == "f" and y.op == "const" and y.value and math.frexp(y.value)[0] in (0.5, -0.5):
         return g.op("mul", x, g.const(1 / y.value, "f"))

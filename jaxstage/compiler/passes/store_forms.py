@@ -201,18 +201,20 @@ class Rolled(NamedTuple):
 
 
 def rolled(
-    stores: Sequence[Store], search: Search, cells: Cells
+    stores: Sequence[Store], puts: Sequence[Put], search: Search, cells: Cells
 ) -> tuple[list[Rolled], list[Store]]:
     """The stores that are made in loops, and the rest.
 
-    Loops store while they read: none may read what another store, or another round, sets.
+    Loops store while they read: none may read what another store, an update at an index among
+    them, or another round sets.
     """
     freed, groups = list(stores), _neighbours(stores)
     if search.alike is not None:
         freed = [_freed(s, cells) for s in stores]
         keys = [(s.array, s.add, s.where and s.where.id) for s in freed]
         groups = groups_of_alike([s.node for s in freed], keys, search.alike)
-    written = {(s.array, s.slot): i for i, s in enumerate(stores)}
+    written = {(p.array, slot): -1 for p in puts for slot in p.slots}
+    written |= {(s.array, s.slot): i for i, s in enumerate(stores)}
     loops, used = [], set[int]()
     for roll in rolls([s.node for s in freed], groups, search):
         slots = [freed[m].slot for m in roll.members]
@@ -260,5 +262,5 @@ def plan(stores: Sequence[Store], cells: Cells, search: Search | None, kinds: st
         kinds: Kinds of numbers that can be stored at an index.
     """
     puts, rest = indexed(stores, cells, kinds)
-    loops, plain = rolled(rest, search, cells) if search is not None else ([], rest)
+    loops, plain = rolled(rest, puts, search, cells) if search is not None else ([], rest)
     return Plan(loops, puts, plain)
