@@ -145,7 +145,7 @@ _ARITHMETIC = (
     Op(
         name="abs",
         arity=1,
-        takes=NUMBERS,
+        takes="fil",
         real=math.fabs,
         whole=arithmetic.magnitude,
         interval=intervals.magnitude,
@@ -337,7 +337,6 @@ _LOGIC = (
     Op(
         name="is_finite",
         arity=1,
-        takes=NUMBERS,
         gives="b",
         real=math.isfinite,
         rewrite=simplify.is_finite,
