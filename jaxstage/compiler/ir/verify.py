@@ -94,7 +94,7 @@ def _of_const(node: Node) -> Iterator[str]:
 
 
 def _of_place(node: Node) -> Iterator[str]:
-    if not isinstance(node.value, tuple) or not isinstance(node.value[1], int):
+    if node.value is None or not isinstance(node.value[1], int):
         yield "it does not say where it stands"
 
 
