@@ -1,6 +1,7 @@
 """The controllers of the studies as C99: the demands of JAX, on a PC and on a Cortex-M4."""
 
 import functools
+import hashlib
 import json
 import re
 import shutil
@@ -305,3 +306,35 @@ def test_a_wrong_use_is_one_clear_line(words, said, command, tmp_path):
     assert said in err and err.count("\n") == 1
     assert not (tmp_path / "c").exists()
     assert (tmp_path / "full" / "a.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "name", ["../victim.c", "{folder}/victim.c", "c/../../victim.c", "sub/own.c", "..", "sub"]
+)
+def test_a_foreign_manifest_deletes_nothing(name, command, tmp_path):
+    """A manifest with right checksums, of files that no export writes."""
+    name = name.format(folder=tmp_path)
+    out, text = tmp_path / "c", b"mine\n"
+    (out / "sub").mkdir(parents=True)
+    files = [tmp_path / "victim.c", out / "sub" / "own.c", out / "notes.md"]
+    for file in files:
+        file.write_bytes(text)
+    sums = {name: hashlib.sha256(text).hexdigest()}
+    (out / "export.json").write_text(json.dumps({"files": sums}))
+    status, printed, err = command("dfcmac-circle", "--out", "c")
+    assert (status, printed) == (2, "")
+    assert err.count("\n") == 1 and (
+        "is no file of it" in err or "sub is not as it was exported" in err
+    )
+    assert [file.read_bytes() for file in files] == [text] * 3 and len([*out.iterdir()]) == 3
+
+
+def test_a_link_in_the_folder_is_not_followed(command, tmp_path):
+    victim, out = tmp_path / "victim.c", tmp_path / "c"
+    victim.write_text("mine")
+    out.mkdir()
+    (out / "control.c").symlink_to(victim)
+    (out / "export.json").write_text('{"files": {}}')
+    status, _, err = command("dfcmac-circle", "--out", "c")
+    assert status == 2 and err.count("\n") == 1
+    assert victim.read_text() == "mine" and (out / "control.c").is_symlink()

@@ -110,11 +110,13 @@ def check_folder(out: Path, names: Iterable[str] = ()) -> dict[str, set[str]]:
             f"--out {out}: the folder is not empty and holds no export; choose another one"
         ) from None
     for name in {*names, *known}:
-        if Path(name).name != name or "\\" in name or name in ("", MANIFEST):
+        if Path(name).name != name or "\\" in name or name in ("", "..", MANIFEST):
             raise ValueError(f"--out {out}: {MANIFEST} names {name!r}, which is no file of it")
         file = out / name
-        if file.is_symlink() or (
-            file.exists() and _checksum(file.read_bytes()) not in known.get(name, ())
+        if (
+            file.is_symlink()
+            or file.is_dir()
+            or (file.exists() and _checksum(file.read_bytes()) not in known.get(name, ()))
         ):
             raise ValueError(
                 f"--out {out}: {name} is not as it was exported; move it away, or choose another "
