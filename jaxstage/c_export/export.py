@@ -36,13 +36,25 @@ def c_files(
     axis: str | None = None,
     prefix: str = "control",
 ) -> dict[str, str]:
-    """The controller of a loop as C files, name -> text.
+    """The controller of a loop as C files.
 
-    name: of the loop. rows: what the metric `record` stored of a run of the loop, in double
-    precision. version: written into every file. single: ``float`` in place of ``double``. axis: one
-    axis alone, for a law in which none depends on another. prefix: begins every name in C. Raises
-    ValueError for gains out of range, an unknown axis, axes that are coupled, a wrong prefix, and
-    for a law that has no scalar form, with the reason.
+    Args:
+        name: Of the loop.
+        loop: Its law, control period and drive.
+        gains: What is exported.
+        scenario: Its drive limits the recorded demands.
+        rows: What the metric `record` stored of a run of the loop, in double precision.
+        version: Written into every file.
+        single: ``float`` in place of ``double``.
+        axis: One axis alone, for a law in which none depends on another.
+        prefix: Begins every name in C.
+
+    Returns:
+        Name of a file -> its text.
+
+    Raises:
+        ValueError: Gains are out of range, an axis is unknown, axes are coupled, the prefix is no
+            name in C, or the law has no scalar form, with the reason.
     """
     axes = loop.plant.axes
     check_names(loop, axis, prefix)
@@ -56,9 +68,15 @@ def c_files(
     )
     recorded = _follow(loop, gains, scenario, setpoint, measurement)
     what = Identity(
-        loop=name, law=loop.controller.name, prefix=prefix, axes=axes if axis is None else (axis,),
-        period=loop.dt, command_unit=loop.plant.command_unit, single=single, version=version,
-    )  # fmt: skip
+        loop=name,
+        law=loop.controller.name,
+        prefix=prefix,
+        axes=axes if axis is None else (axis,),
+        period=loop.dt,
+        command_unit=loop.plant.command_unit,
+        single=single,
+        version=version,
+    )
     try:
         with jax.enable_x64(not single):
             law, recorded = _law(loop, gains, recorded, axis)

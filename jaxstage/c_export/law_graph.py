@@ -18,7 +18,13 @@ STRUCTS = ("gains", "memory", "setpoint", "measurement")
 
 
 class Element(NamedTuple):
-    """One number among the arguments of the law: group, number of the leaf, of the element."""
+    """One number among the arguments of the law.
+
+    Attributes:
+        group: The argument: gains, memory, setpoint, ...
+        leaf: Number of the array in it.
+        at: Number of the element in C order.
+    """
 
     group: str
     leaf: int
@@ -26,9 +32,13 @@ class Element(NamedTuple):
 
 
 class Function(NamedTuple):
-    """A function of the law: what it gives, element by element, and where its inputs stand.
+    """A function of the law, element by element.
 
-    leaves: group and number in the group of each leaf that the graph counts."""
+    Attributes:
+        demand: What is demanded of each axis.
+        memory: The memory after it.
+        leaves: Group, and number in the group, of each leaf that the graph counts.
+    """
 
     demand: tuple[Node, ...]
     memory: tuple[Node, ...]
@@ -48,8 +58,13 @@ class Function(NamedTuple):
 class LawGraph(NamedTuple):
     """A control law, scalar by scalar.
 
-    settle is None where nothing has to be told to the law after ``step``: then ``step`` holds what
-    its own settle does.
+    Attributes:
+        init: The memory before the first period.
+        step: Demand and memory of a period.
+        settle: The memory once the command is known; None where the law need not be told: then
+            `step` holds what its own settle does.
+        gains: Members of the struct of gains; the other three alike.
+        axes: Number of axes.
     """
 
     init: Function
@@ -77,12 +92,24 @@ def trace(
     command_unit: str,
     one_axis: bool = False,
 ) -> LawGraph:
-    """The law at the types and shapes of its arguments. one_axis: of a single axis, whose leading
-    1 is left out of the structs. Raises LoweringError for what has no scalar form."""
+    """The law at the types and shapes of its arguments.
+
+    Args:
+        controller: The law.
+        gains: What is tuned.
+        setpoint: A commanded sample, each leaf ``(axes,)``.
+        measurement: A measured sample.
+        dt: Control period in s.
+        command_unit: Unit of a demand.
+        one_axis: Whether it is of a single axis, whose leading 1 is left out of the structs.
+
+    Raises:
+        LoweringError: Something of it has no scalar form.
+    """
     demand = jax.ShapeDtypeStruct(setpoint.position.shape, setpoint.position.dtype)
     begun = jax.eval_shape(controller.init, gains, setpoint, measurement)
-    given = {"gains": gains, "memory": begun, "setpoint": setpoint, "measurement": measurement}
-    told = {"demand": demand, "command": demand}
+    arguments = {"gains": gains, "memory": begun, "setpoint": setpoint, "measurement": measurement}
+    afterwards = {"demand": demand, "command": demand}
 
     def init(gains: Any, setpoint: Setpoint, measurement: Measurement) -> Any:
         return (), controller.init(gains, setpoint, measurement)
@@ -96,20 +123,22 @@ def trace(
     def both(
         gains: Any, memory: Any, setpoint: Any, measurement: Any, demand: Any, command: Any
     ) -> Any:
-        asked, kept = step(gains, memory, setpoint, measurement)
-        return asked, settle(gains, kept, demand, command)[1]
+        demanded, kept = step(gains, memory, setpoint, measurement)
+        return demanded, settle(gains, kept, demand, command)[1]
 
     single = demand.dtype == np.float32
-    whole = _function(both, given | told, single)
-    apart = any(element.group in told for element in read(whole))
+    whole = _function(both, arguments | afterwards, single)
+    apart = any(element.group in afterwards for element in read(whole))
     return LawGraph(
-        init=_function(init, {name: given[name] for name in given if name != "memory"}, single),
-        step=_function(step, given, single) if apart else whole,
-        settle=_function(settle, {"gains": gains, "memory": begun, **told}, single)
+        init=_function(
+            init, {name: arguments[name] for name in arguments if name != "memory"}, single
+        ),
+        step=_function(step, arguments, single) if apart else whole,
+        settle=_function(settle, {"gains": gains, "memory": begun, **afterwards}, single)
         if apart
         else None,
         axes=demand.shape[0],
-        **{name: members(tree, command_unit, one_axis) for name, tree in given.items()},
+        **{name: members(tree, command_unit, one_axis) for name, tree in arguments.items()},
     )
 
 

@@ -1,6 +1,8 @@
 """Header, source and gains of a control law in C99."""
 
 import textwrap
+from pathlib import Path
+from string import Template
 from typing import Any, NamedTuple
 
 from jaxstage.c_export.law_graph import STRUCTS, Function, LawGraph, elements, read
@@ -20,9 +22,23 @@ _PURPOSE = {
 }
 
 
+#: frames of the files, with ``$name`` for what differs
+TEMPLATES = Path(__file__).parent / "templates"
+
+
 class Identity(NamedTuple):
-    """What the files say of themselves. law: name of the controller. prefix: begins every name in
-    C. axes: their names. period: control period in s. version: of the program that writes them."""
+    """What the files say of themselves.
+
+    Attributes:
+        loop: Name of the loop.
+        law: Name of the controller.
+        prefix: Begins every name in C.
+        axes: Names of the axes.
+        period: Control period in s.
+        command_unit: Unit of a demand.
+        single: Whether reals are floats.
+        version: Of the program that writes the files.
+    """
 
     loop: str
     law: str
@@ -43,6 +59,12 @@ class Identity(NamedTuple):
         """Law, axes and precision."""
         axes = f"ax{'is' if len(self.axes) == 1 else 'es'} {', '.join(self.axes)}"
         return f"{self.law}, {axes}, {'single' if self.single else 'double'} precision"
+
+
+def fill(name: str, what: Identity, /, **values: object) -> str:
+    """A file: its template with values, and with ``mark`` and ``prefix`` of the identity."""
+    text = (TEMPLATES / f"{name}.in").read_text(encoding="utf-8")
+    return Template(text).substitute(values, mark=what.mark, prefix=what.prefix)
 
 
 def used(law: LawGraph, group: str) -> tuple[Member, ...]:
@@ -86,28 +108,26 @@ def _prototype(law: LawGraph, what: Identity, name: str) -> str:
 def header(law: LawGraph, what: Identity) -> str:
     """The header: structs with units, the functions and when to call them."""
     p = what.prefix
-    guard = f"{p.upper()}_H"
     structs = []
     for group in STRUCTS:
         left = unused(law, group)
         note = f" This law does not use: {', '.join(left)}." if left else ""
         purpose = "\n * ".join(_wrapped(_PURPOSE[group] + note, 94))
         structs.append(declare(used(law, group), f"{p}_{group}", purpose, f"{p}_real"))
-    blocks = [
-        f"/* {what.mark}\n *\n{_starred(_usage(law, what))} */",
-        f"#ifndef {guard}\n#define {guard}\n\n#include <stdbool.h>\n#include <stdint.h>",
-        '#ifdef __cplusplus\nextern "C" {\n#endif',
-        f"typedef {'float' if what.single else 'double'} {p}_real;",
-        f"/* axes: {', '.join(what.axes)} */\n#define {p.upper()}_AXES {law.axes}\n\n"
-        f"/* control period in s, part of the law */\n#define {p.upper()}_PERIOD "
-        f"{number(what.period, 'f', what.single)}",
-        *structs,
-        f"/* The gains that were exported, see {p}_gains.c. */\n"
-        f"extern const {p}_gains {p}_exported_gains;",
-        *(f"/* {text} */\n{_prototype(law, what, name)};" for name, text in _calls(law).items()),
-        "#ifdef __cplusplus\n}\n#endif\n\n#endif",
-    ]
-    return "\n\n".join(blocks) + "\n"
+    calls = (f"/* {text} */\n{_prototype(law, what, name)};" for name, text in _calls(law).items())
+    return fill(
+        "control.h",
+        what,
+        usage=_starred(_usage(law, what)),
+        guard=f"{p.upper()}_H",
+        real="float" if what.single else "double",
+        names=", ".join(what.axes),
+        name=p.upper(),
+        axes=law.axes,
+        period=number(what.period, "f", what.single),
+        structs="\n\n".join(structs),
+        functions="\n\n".join(calls),
+    )
 
 
 def _calls(law: LawGraph) -> dict[str, str]:
@@ -153,19 +173,18 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def source(law: LawGraph, what: Identity) -> str:
-    """The functions. Raises ValueError for an operation that C99 does not have."""
+    """The functions.
+
+    Raises:
+        LoweringError: C99 does not have an operation.
+    """
     helpers: dict[str, str] = {}
     bodies = []
     for name, function in zip(FUNCTIONS, law.functions, strict=False):
         lines = _body(law, name, function, what, helpers)
         bodies.append(f"{_prototype(law, what, name)}\n{{\n{lines}\n}}\n")
-    parts = [
-        f"/* {what.mark} */",
-        f'#include "{what.prefix}.h"\n\n#include <math.h>',
-        f"typedef {what.prefix}_real real;",
-        *(text.strip() for text in [*helpers.values(), *bodies]),
-    ]
-    return "\n\n".join(parts) + "\n"
+    functions = (text.strip() for text in (*helpers.values(), *bodies))
+    return fill("control.c", what, functions="\n\n".join(functions))
 
 
 def _cells(law: LawGraph, function: Function) -> Cells:
@@ -213,14 +232,11 @@ def _body(
 
 def gains_source(law: LawGraph, what: Identity) -> str:
     """The gains as an initialised constant."""
-    every, p = used(law, "gains"), what.prefix
+    every = used(law, "gains")
 
     def text(value: Any, kind: str) -> str:
         return number(value, kind, what.single)
 
     values = initialise(every, text)
     include = "#include <math.h>\n\n" if "INFINITY" in values else ""
-    return (
-        f'/* {what.mark} */\n\n#include "{p}.h"\n\n{include}'
-        f"const {p}_gains {p}_exported_gains = {values};\n"
-    )
+    return fill("gains.c", what, include=include, values=values)

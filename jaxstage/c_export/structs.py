@@ -24,8 +24,12 @@ _RESERVED = frozenset(
 class Member(NamedTuple):
     """One array of a pytree as a member of a struct.
 
-    names: from the outermost struct in. kind: as of a node of the graph. quantity: None where the
-    field says nothing about itself. value: array or shape.
+    Attributes:
+        names: From the outermost struct in.
+        shape: Of the array.
+        kind: As of a node of the graph.
+        quantity: Unit, symbol and meaning; None where the field says nothing about itself.
+        value: The array, or its shape and type.
     """
 
     names: tuple[str, ...]
@@ -50,13 +54,19 @@ class Member(NamedTuple):
 
 
 def members(tree: Any, command_unit: str, one_axis: bool = False) -> tuple[Member, ...]:
-    """The arrays of a pytree, in JAX's order. one_axis: a leading 1 is left out."""
-    found = []
+    """The arrays of a pytree, in JAX's order.
+
+    Args:
+        tree: Arrays, or shapes and types.
+        command_unit: What the unit ``command`` means for this machine.
+        one_axis: Whether a leading 1 is left out of the shapes.
+    """
+    every = []
     for path, value in jax.tree_util.tree_leaves_with_path(tree):
         shape = tuple(np.shape(value))
         shape = shape[1:] if one_axis and shape[:1] == (1,) else shape
         quantity = _quantity(tree, path)
-        found.append(
+        every.append(
             Member(
                 names=tuple(_name(key) for key in path) or ("value",),
                 shape=shape,
@@ -65,7 +75,7 @@ def members(tree: Any, command_unit: str, one_axis: bool = False) -> tuple[Membe
                 value=value,
             )
         )
-    return tuple(found)
+    return tuple(every)
 
 
 def _name(key: Any) -> str:
@@ -87,7 +97,14 @@ def _index(key: Any) -> Any:
 
 
 def declare(every: Sequence[Member], name: str, purpose: str, real: str) -> str:
-    """The typedef of a struct, its members with unit, meaning and allowed range. real: a type."""
+    """The typedef of a struct, its members with unit, meaning and allowed range.
+
+    Args:
+        every: The members.
+        name: Of the struct.
+        purpose: Stands above it.
+        real: C type of reals.
+    """
     lines = [f"/* {purpose} */", "typedef struct {"]
     lines += _declared(every, 1, TYPES | {"f": real})
     if not every:
@@ -147,7 +164,13 @@ def _commented(code: str, comment: str) -> Iterator[str]:
 
 
 def initialise(every: Sequence[Member], text: Callable[[Any, str], str], depth: int = 1) -> str:
-    """The initialiser of a struct with designated members. text: a number, of a kind, as C."""
+    """The initialiser of a struct with designated members.
+
+    Args:
+        every: The members.
+        text: A number of a kind as C.
+        depth: Of the struct among structs.
+    """
     margin = "    " * depth
     lines = []
     for name, inside in _grouped(every, depth):

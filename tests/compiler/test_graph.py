@@ -21,7 +21,7 @@ from jaxstage.compiler.ir.graph import new_graph
 from jaxstage.compiler.ir.node import ordered
 from jaxstage.compiler.ir.ops import OPS
 from jaxstage.compiler.ir.verify import RICH, MalformedGraphError, verify
-from jaxstage.compiler.passes.loop_reroll import Search, alike_nodes
+from jaxstage.compiler.passes.loop_reroll import LoopSearch, alike_nodes
 from jaxstage.compiler.passes.store_forms import Cells, Put, Rolled, Store, plan
 from tests.helpers.compiled_cases import case, program, shared_by_all
 from tests.helpers.graph_values import compute, dtype_of, evaluate, same
@@ -284,10 +284,10 @@ def searched(s, near):
     """What a back end looks for: neighbours, or what is alike anywhere."""
     nodes = ordered(x.node for x in s.stores)
     if not near:
-        return Search(16, CELLS.slot, alike=alike_nodes(nodes, ()))
+        return LoopSearch(16, CELLS.slot, alike=alike_nodes(nodes, ()))
     uses = collections.Counter(a.id for n in nodes for a in n.args)
     uses.update(x.node.id for x in s.stores)
-    return Search(8, CELLS.slot, uses=uses)
+    return LoopSearch(8, CELLS.slot, uses=uses)
 
 
 def round_value(roll, k, values, memory):

@@ -27,7 +27,7 @@ from jaxstage.compiler.c99.ops import (
     wrapped,
 )
 from jaxstage.compiler.ir.node import Node, ordered
-from jaxstage.compiler.passes.loop_reroll import Roll, Row, Search, gathered
+from jaxstage.compiler.passes.loop_reroll import LoopSearch, Roll, Row, gathered
 from jaxstage.compiler.passes.store_forms import Cells, Plan, Put, Rolled, Store, changed, plan
 
 #: longest expression; parts of a longer one get names of their own
@@ -106,7 +106,7 @@ def statements(stores: Sequence[Store], cells: Cells, single: bool) -> Statement
     nodes = ordered(store.node for store in stores)
     uses = Counter(arg.id for node in nodes for arg in node.args)
     uses.update(store.node.id for store in stores)
-    search = Search(ROUNDS, cells.slot, uses=uses)
+    search = LoopSearch(ROUNDS, cells.slot, uses=uses)
     forms = plan(stores, cells, search, kinds="fiulb")
     sums = {number: loops[0] for number, (_, loops) in gathered(nodes, search).items()}
     everything = frozenset(cells.place(s.array, s.slot) for s in stores)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from jaxstage.compiler.cxx.ops import constant, expression
 from jaxstage.compiler.ir.node import Node, ordered
-from jaxstage.compiler.passes.loop_reroll import Alike, Roll, Search, alike_nodes, gathered
+from jaxstage.compiler.passes.loop_reroll import Alike, LoopSearch, Roll, alike_nodes, gathered
 from jaxstage.compiler.passes.store_forms import (
     COPY,
     Cells,
@@ -29,8 +29,12 @@ TYPES = {"f": "vec", "i": "ints", "u": "ints", "l": "ints", "b": "mask"}
 
 
 class Known(NamedTuple):
-    """Names of nodes that need no computing, by their numbers (of the place that an index means by
-    ``~number``), and of the reciprocals that some divisions use."""
+    """What needs no computing.
+
+    Attributes:
+        names: Texts of nodes by their numbers; of the place that an index means by ``~number``.
+        reciprocals: Texts of the reciprocals that some divisions use, by the division's number.
+    """
 
     names: dict[int, str]
     reciprocals: dict[int, str]
@@ -87,15 +91,21 @@ class _Kernel(NamedTuple):
 def copies(statements: list[str], count: int) -> list[str]:
     """The statements for several vectors, one vector after the other in each: while one waits for a
     result, the others compute. What is not of a vector is said once."""
-    return [
-        s.replace(COPY, str(u)) for s in statements for u in range(count if COPY in s else 1)
-    ]  # fmt: skip
+    return [s.replace(COPY, str(u)) for s in statements for u in range(count if COPY in s else 1)]
 
 
 def write(
     stores: Iterable[Store], cells: Cells, known: Known, single: bool, prefix: str = f"t{COPY}_"
 ) -> list[str]:
-    """The statements that compute and store, each whole."""
+    """The statements that compute and store, each whole.
+
+    Args:
+        stores: What becomes of the results.
+        cells: Where inputs stand.
+        known: What needs no computing.
+        single: Whether reals are floats.
+        prefix: Of the names of values.
+    """
     stores = list(stores)
     w = _writing(ordered([n for s in stores for n in s.needs]), cells, known, single, prefix)
     loops, puts, plain = plan(stores, cells, _search(w.alike, cells))
@@ -110,10 +120,9 @@ def write(
         own = [s for group in several for s in group if s.where is where]
         never = [s for s in plain if excluded(s, where, cells)]
         plain = [s for s in plain if s not in never]
-        lines.append(_guarded_stores(
-            w, where, own, [p for p in placed if p[0].where is where], never,
-            [loop for loop in loops if loop.store.where is where],
-        ))  # fmt: skip
+        puts_here = [p for p in placed if p[0].where is where]
+        loops_here = [loop for loop in loops if loop.store.where is where]
+        lines.append(_guarded_stores(w, where, _Guarded(own, puts_here, loops_here, never)))
         placed = [p for p in placed if p[0].where is not where]
     for put, place in placed:
         where = "every(true)" if put.where is None else w.name(put.where)
@@ -131,8 +140,8 @@ def computed(
     return lines, known._replace(names=w.names)
 
 
-def _search(alike: Alike, cells: Cells) -> Search | None:
-    return None if cells.slot is None else Search(ROUNDS, cells.slot, alike)
+def _search(alike: Alike, cells: Cells) -> LoopSearch | None:
+    return None if cells.slot is None else LoopSearch(ROUNDS, cells.slot, alike)
 
 
 def _writing(nodes: list[Node], cells: Cells, known: Known, single: bool, prefix: str) -> _Kernel:
@@ -141,13 +150,13 @@ def _writing(nodes: list[Node], cells: Cells, known: Known, single: bool, prefix
     loops: dict[int, list[Roll]] = {}
     if search is not None:
         new = [n for n in nodes if n.id not in known.names]
-        loops = {number: found for number, (_, found) in gathered(new, search).items()}
+        loops = {number: rolled for number, (_, rolled) in gathered(new, search).items()}
     return _Kernel(cells, known, single, prefix, dict(known.names), alike, loops)
 
 
 def _conditions(several: list[list[Store]], loops: list[Rolled]) -> list[Node]:
-    found = [group[0].where for group in several] + [x.store.where for x in loops]
-    return list(dict.fromkeys(n for n in found if n is not None))
+    conditions = [group[0].where for group in several] + [x.store.where for x in loops]
+    return list(dict.fromkeys(n for n in conditions if n is not None))
 
 
 def _computed(w: _Kernel, nodes: list[Node]) -> tuple[list[str], Callable[[Node], str]]:
@@ -173,7 +182,7 @@ def _computed(w: _Kernel, nodes: list[Node]) -> tuple[list[str], Callable[[Node]
         for own in same_index:
             w.names[own.id] = f"{w.prefix}{own.id}"
             if own.op == "loop":
-                lines.append(loop_text(own, nodes, w.names, w.cells, w.known, w.single, w.prefix))
+                lines.append(_loop_text(w, own, nodes))
                 continue
             if own.op == "after":
                 text = _after(own, w.prefix)
@@ -230,7 +239,7 @@ def block(head: str, statements: list[str]) -> str:
 
 
 def _rolled(w: _Kernel, loop: Rolled, where: str | None) -> str:
-    """A loop of stores; only ``where``, if that is given."""
+    """A loop of stores; only ``where``, if there is one."""
     store, roll = loop.store, loop.roll
     own, text = _round(w, roll)
     cell = f"{store.array}[{store.slot}+{loop.step}*k]"
@@ -255,43 +264,38 @@ def _truth(node: Node, text: str) -> str:
     return f"as_ints({text})" if node.kind == "b" else text
 
 
-def loop_text(
-    loop: Node, nodes: list[Node], names: dict[int, str], cells: Cells, known: Known, single: bool,
-    prefix: str,
-) -> str:  # fmt: skip
-    """A loop inside a tick: its arrays, and one round of it in a C loop."""
-    inner, number = loop.value, loop.value.number
+def _loop_text(w: _Kernel, loop: Node, nodes: list[Node]) -> str:
+    """A loop inside a tick: its arrays, and one round of it in a C++ loop."""
+    inner, number, prefix = loop.value, loop.value.number, w.prefix
     used = sorted(_rows_used(loop, nodes))
     lines = [
         f"{kind} {prefix}c{i}{number}[{len(inner.begin)}], {prefix}y{i}{number}[{inner.length}]"
-        f"[{len(inner.rows)}], {prefix}x{i}{number}[{inner.length}][{len(inner.given)}];"
+        f"[{len(inner.rows)}], {prefix}x{i}{number}[{inner.length}][{len(inner.scanned)}];"
         for kind, i in (("vec", ""), ("ints", "i"))
     ]
-
-    def name(node: Node) -> str:
-        return constant(node) if node.op == "const" else names[node.id]
-
     for at, node in enumerate(inner.begin):
-        lines.append(f"{_array_of(node, 'c', prefix, number)}[{at}] = {_truth(node, name(node))};")
-    for at, source in enumerate(inner.given):
+        array = _array_of(node, "c", prefix, number)
+        lines.append(f"{array}[{at}] = {_truth(node, w.name(node))};")
+    for at, source in enumerate(inner.scanned):
         for t, node in enumerate(source[1] if source[0] == "own" else ()):
             array = _array_of(node, "x", prefix, number)
-            lines.append(f"{array}[{t}][{at}] = {_truth(node, name(node))};")
+            lines.append(f"{array}[{t}][{at}] = {_truth(node, w.name(node))};")
     k = f"k{number}"
-    steps = (f"int {k} = {inner.length - 1}; {k} >= 0; {k}--" if inner.reverse
-             else f"int {k} = 0; {k} < {inner.length}; {k}++")  # fmt: skip
+    steps = f"int {k} = 0; {k} < {inner.length}; {k}++"
+    if inner.reverse:
+        steps = f"int {k} = {inner.length - 1}; {k} >= 0; {k}--"
 
     def read(node: Node) -> str:
         (group, own), at = node.value
         if group not in ("L", "X") or own != number:
-            return cells.read(node)
+            return w.cells.read(node)
         if group == "L":
             text = f"{_array_of(node, 'c', prefix, number)}[{at}]"
-        elif inner.given[at][0] == "count":
-            _, first, step = inner.given[at]
+        elif inner.scanned[at][0] == "count":
+            _, first, step = inner.scanned[at]
             text = f"same((whole)({first} + {step} * {k}))"
-        elif inner.given[at][0] == "rows":
-            _, before, cell = inner.given[at]
+        elif inner.scanned[at][0] == "rows":
+            _, before, cell = inner.scanned[at]
             text = f"{_array_of(node, 'y', prefix, before.value.number)}[{k}][{cell}]"
         else:
             text = f"{_array_of(node, 'x', prefix, number)}[{k}][{at}]"
@@ -305,31 +309,41 @@ def loop_text(
         Store(f"{_array_of(inner.rows[at], 'y', prefix, number)}[{k}]", at, inner.rows[at])
         for at in used
     ]
-    round_of = write(
-        stores, Cells(read, cells.array), Known(dict(names), known.reciprocals), single, prefix
-    )
+    known = Known(dict(w.names), w.known.reciprocals)
+    round_of = write(stores, Cells(read, w.cells.array), known, w.single, prefix)
     return "\n  ".join([*lines, block(f"for ({steps})", round_of)])
 
 
 def _rows_used(loop: Node, nodes: list[Node]) -> set[int]:
     """The cells of the rows that somebody reads."""
-    found = set()
+    cells = set[int]()
     for node in nodes:
         if node.op == "after" and node.args[0] is loop and node.value[0] == "y":
-            found.add(node.value[2])
+            cells.add(node.value[2])
         if node.op == "loop":
-            found |= {s[2] for s in node.value.given if s[0] == "rows" and s[1] is loop}
-    return found
+            cells |= {s[2] for s in node.value.scanned if s[0] == "rows" and s[1] is loop}
+    return cells
 
 
-def _guarded_stores(
-    w: _Kernel, condition: Node, stores: list[Store], puts: list[tuple[Put, str]],
-    never: list[Store], loops: list[Rolled],
-) -> str:  # fmt: skip
-    """Where the condition holds in every lane, as nearly always, there is nothing to select.
+class _Guarded(NamedTuple):
+    """What is stored under one condition.
 
-    never: stores that change nothing where it holds.
+    Attributes:
+        stores: Single cells.
+        puts: Updates at an index, with the text of the place that it means.
+        loops: Cells in a loop.
+        never: Stores that change nothing where the condition holds.
     """
+
+    stores: list[Store]
+    puts: list[tuple[Put, str]]
+    loops: list[Rolled]
+    never: list[Store]
+
+
+def _guarded_stores(w: _Kernel, condition: Node, guarded: _Guarded) -> str:
+    """Where the condition holds in every lane, as nearly always, there is nothing to select."""
+    stores, puts, loops, never = guarded
     where, name = w.name(condition), w.name
     free = [f"{s.array}[{s.slot}] = {name(s.node)};" for s in stores]
     free += [f"put({p.array}+{p.slot}, {at}, every(true), {name(p.value)});" for p, at in puts]
@@ -350,8 +364,8 @@ def _load(node: Node, cells: Cells, place: str) -> str:
     text = f"{array}+{slot + offset}"
     if not place:
         return f"look({text}, place(same({node.args[0].value})))"
-    found = f"look({text}, {place})"
-    return f"as_mask({found})" if node.kind == "b" else found
+    element = f"look({text}, {place})"
+    return f"as_mask({element})" if node.kind == "b" else element
 
 
 def _stored(store: Store, text: str) -> str:

@@ -34,18 +34,25 @@ def _quantised(nodes: list[Node]) -> set[int]:
     more would move whole steps."""
     rounded = ("floor", "ceil", "round")
     stack = [x for n in nodes if n.op == "mul" for x in n.args if x.op in rounded]
-    found: set[int] = set()
+    divisions: set[int] = set()
     while stack:
         node = stack.pop()
         if node.op == "div":
-            found.add(node.id)
+            divisions.add(node.id)
         elif node.op in (*rounded, "add", "sub", "neg"):
             stack.extend(node.args)
-    return found
+    return divisions
 
 
 class Hoisted(NamedTuple):
-    """What is computed before the time loop, into ``h`` and ``hi``: statements and names."""
+    """What is computed before the time loop, into ``h`` and ``hi``.
+
+    Attributes:
+        lines: Statements.
+        known: Names of what they compute.
+        reals: Slots of ``h``.
+        wholes: Slots of ``hi``.
+    """
 
     lines: list[str]
     known: Known
@@ -78,20 +85,21 @@ def hoist(low: Lowered, stores: list[Store], where: Cells) -> Hoisted:
         stack.extend(node.args)
         if node.op == "loop":
             stack.extend((*node.value.inside, *node.value.rows))
-    names, made, counts = {}, [], {True: 0, False: 0}
+    names, stored, counts = {}, [], {True: 0, False: 0}
     for node in [*outer.values(), *inverse.values()]:
         if node.op == "const" or node.id in names:
             continue
         real = node.kind == "f"
         name = "h" if real else "hi"
-        made.append(Store(name, counts[real], node))
+        stored.append(Store(name, counts[real], node))
         text = f"{name}{COPY}[{counts[real]}]"
         names[node.id] = f"as_mask({text})" if node.kind == "b" else text
         counts[real] += 1
-    lines = write(made, where, Known({}, {}), low.single, "p")
+    lines = write(stored, where, Known({}, {}), low.single, "p")
     texts = {y: constant(n) if n.op == "const" else names[n.id] for y, n in inverse.items()}
     reciprocals = {
-        n.id: texts[n.args[1].id] for n in g.nodes
+        n.id: texts[n.args[1].id]
+        for n in g.nodes
         if n.op == "div" and n.args[1].id in texts and _invertible(n, fixed, exact)
-    }  # fmt: skip
+    }
     return Hoisted(lines, Known(names, reciprocals), counts[True], counts[False])

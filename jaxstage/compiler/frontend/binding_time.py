@@ -1,7 +1,8 @@
 """Binding-time analysis: what all runs share, and what each run computes for itself.
 
-What depends on shared arrays and the tick alone is the same in every run: JAX computes it once.
-Calls are put in line first, and what nobody reads is left out.
+Every value of a step has a level: what it depends on at most. What depends on shared arrays and the
+tick alone is the same in every run: JAX computes it once, and a kernel reads it. Calls are put in
+line first, equal equations are one, and what nobody reads is left out.
 """
 
 from typing import Any, NamedTuple
@@ -21,7 +22,13 @@ class Immediate(NamedTuple):
 
 
 class FlatEquation(NamedTuple):
-    """An equation; its values are known by their numbers."""
+    """An equation of a jaxpr between numbered values.
+
+    Attributes:
+        equation: The equation, for its primitive and parameters.
+        reads: Numbers of its operands; `Immediate` for literals.
+        writes: Numbers of its results.
+    """
 
     equation: Any
     reads: tuple[Any, ...]
@@ -29,7 +36,14 @@ class FlatEquation(NamedTuple):
 
 
 class FlatJaxpr(NamedTuple):
-    """A program: its steps in order, the numbers of arguments and results, and its constants."""
+    """A jaxpr without calls: every value has a number.
+
+    Attributes:
+        steps: Its equations in order.
+        arguments: Numbers of its arguments.
+        results: Numbers of its results; `Immediate` for literals.
+        constants: Values that it closes over, by number.
+    """
 
     steps: tuple[FlatEquation, ...]
     arguments: tuple[int, ...]
@@ -38,7 +52,12 @@ class FlatJaxpr(NamedTuple):
 
 
 class Staged(NamedTuple):
-    """steps, and the level (`CONSTANT` .. `RUN`) of each value."""
+    """A program whose values have levels.
+
+    Attributes:
+        program: Its equations.
+        level: Number of a value -> `CONSTANT`, `FIXED`, `TICK` or `RUN`.
+    """
 
     program: FlatJaxpr
     level: dict[int, int]
@@ -60,9 +79,9 @@ class Staged(NamedTuple):
 
     def crossing(self) -> list[int]:
         """Values that all runs share and that the steps of a run, or the results, need."""
-        wanted = [v for s in self.per_run() for v in s.reads]
-        wanted += list(self.program.results)
-        return sorted({v for v in wanted if self.of(v) in (FIXED, TICK)})
+        reads = [v for s in self.per_run() for v in s.reads]
+        reads += list(self.program.results)
+        return sorted({v for v in reads if self.of(v) in (FIXED, TICK)})
 
 
 def inline_calls(closed: Any) -> FlatJaxpr:
@@ -107,49 +126,60 @@ def inline_calls(closed: Any) -> FlatJaxpr:
 def _key(equation: Any, reads: list[Any]) -> Any:
     """What two equations have in common that compute the same; nothing where one holds others."""
     params = equation.params
-    if any(hasattr(v, "eqns") or (isinstance(v, tuple | list) and any(
-        hasattr(x, "eqns") for x in v)) for v in params.values()):  # fmt: skip
+    values = (x for v in params.values() for x in (v if isinstance(v, tuple | list) else (v,)))
+    if any(hasattr(x, "eqns") for x in values):
         return id(equation), object()
     same = [
         (type(v.value).__name__, str(getattr(v.value, "dtype", "")), str(v.value))
-        if isinstance(v, Immediate) else v
+        if isinstance(v, Immediate)
+        else v
         for v in reads
-    ]  # fmt: skip
+    ]
     return equation.primitive.name, str(params), tuple(same)
 
 
 def _needed(steps: list[FlatEquation], results: list[Any]) -> tuple[FlatEquation, ...]:
-    wanted = {v for v in results if isinstance(v, int)}
+    needed = {v for v in results if isinstance(v, int)}
     kept = []
     for step in reversed(steps):
-        if wanted.intersection(step.writes):
+        if needed.intersection(step.writes):
             kept.append(step)
-            wanted.update(v for v in step.reads if isinstance(v, int))
+            needed.update(v for v in step.reads if isinstance(v, int))
     return tuple(reversed(kept))
 
 
 def counters(program: FlatJaxpr, carry: range) -> tuple[int, ...]:
-    """Numbers of the carried integers that every tick raises by one.
+    """Induction variables: the carried integers that every tick raises by one.
 
-    carry: positions of the carry among the arguments; it comes first among the results.
+    Args:
+        program: One tick.
+        carry: Positions of the carry among the arguments; it comes first among the results.
+
+    Returns:
+        Their numbers in the carry.
     """
-    made = {w: s for s in program.steps for w in s.writes}
-    found = []
+    writers = {w: s for s in program.steps for w in s.writes}
+    counting = []
     for number, position in enumerate(carry):
         result = program.results[number]
-        step = made.get(result) if isinstance(result, int) else None
+        step = writers.get(result) if isinstance(result, int) else None
         if step is None or step.equation.primitive.name != "add":
             continue
         whole = np.issubdtype(step.equation.outvars[0].aval.dtype, np.integer)
         a, b = step.reads
         one = isinstance(b, Immediate) and np.ndim(b.value) == 0 and b.value == 1
         if whole and one and a == program.arguments[position]:
-            found.append(number)
-    return tuple(found)
+            counting.append(number)
+    return tuple(counting)
 
 
 def binding_times(program: FlatJaxpr, levels: list[int]) -> Staged:
-    """The program with the level of every value, from those of its arguments."""
+    """Propagate levels: a result has the highest level among its operands.
+
+    Args:
+        program: The equations.
+        levels: Of the arguments.
+    """
     level = dict(zip(program.arguments, levels, strict=True))
     level |= dict.fromkeys(program.constants, CONSTANT)
     for step in program.steps:
@@ -159,7 +189,12 @@ def binding_times(program: FlatJaxpr, levels: list[int]) -> Staged:
 
 
 def run(steps: list[FlatEquation], values: dict[int, Any]) -> None:
-    """Evaluate steps with JAX, adding to the values."""
+    """Evaluate equations with JAX.
+
+    Args:
+        steps: In order.
+        values: By number; gets those of the results.
+    """
     for step in steps:
         reads = [v.value if isinstance(v, Immediate) else values[v] for v in step.reads]
         result = step.equation.primitive.bind(*reads, **step.equation.params)

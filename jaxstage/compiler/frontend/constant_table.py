@@ -1,4 +1,4 @@
-"""An array that stays in memory: too large to be written out as scalars, read by index."""
+"""Arrays that stay in memory: too large to be written out as scalars, read by index."""
 
 from typing import Any, NamedTuple
 
@@ -13,7 +13,13 @@ WRITTEN_OUT = 4096
 
 
 class ConstantTable(NamedTuple):
-    """source: what the nodes `load` name it; kind: of its elements, in C order."""
+    """An array that all runs share and read by index.
+
+    Attributes:
+        source: What the nodes `load` call it.
+        shape: Its shape.
+        kind: Kind of its elements, which stand in C order.
+    """
 
     source: Any
     shape: tuple[int, ...]
@@ -26,7 +32,11 @@ def element(graph: Graph, table: ConstantTable, position: int) -> Node:
 
 
 def cells_of(graph: Graph, value: Any) -> np.ndarray:
-    """The array of nodes; a table is written out. Raises LoweringError for a large one."""
+    """The array of nodes; a table is written out.
+
+    Raises:
+        LoweringError: The table is too large.
+    """
     if not isinstance(value, ConstantTable):
         return value
     out = np.empty(value.shape, object)

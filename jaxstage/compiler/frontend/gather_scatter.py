@@ -1,7 +1,8 @@
-"""Reading and writing at an index that is known only at run time.
+"""Gather and scatter: reading and writing at an index that is known only at run time.
 
-The range of the index says which elements it can reach. Where these are inputs in a row, the
-element is loaded from memory; else it is selected among them.
+The interval of the index says which elements it can reach. Where these are inputs in a row, the
+element is loaded from memory; else it is selected among them. A write sets every element that may
+be meant to a selection, which `store_forms` makes one store again.
 """
 
 import itertools
@@ -25,7 +26,12 @@ Index = tuple[int, ...]
 
 
 class Lookup(NamedTuple):
-    """What a reading needs beside its arguments: the graph, and the shape of the result."""
+    """What a gather needs beside its arguments.
+
+    Attributes:
+        graph: Gets the nodes.
+        shape: Of the result.
+    """
 
     graph: Graph
     shape: tuple[int, ...]
@@ -93,10 +99,8 @@ def _filled(g: Graph, value: Node, raw: list[Node], rooms: list[int], fill: Any)
     if fill is None:
         fill = math.nan if value.kind == "f" else -(2**31) if value.kind == "i" else 0
     for start, room in zip(raw, rooms, strict=True):
-        inside = g.op(
-            "and", g.op("ge", start, g.const(0, start.kind)),
-            g.op("lt", start, g.const(room, start.kind)),
-        )  # fmt: skip
+        above = g.op("ge", start, g.const(0, start.kind))
+        inside = g.op("and", above, g.op("lt", start, g.const(room, start.kind)))
         value = g.op("select", inside, value, g.const(fill, value.kind))
     return value
 
@@ -113,12 +117,20 @@ def _read(
     if math.prod(map(len, reach)) > REACH:
         raise LoweringError(f"an index that can mean {math.prod(map(len, reach))} elements")
     every = [(v, array[_moved(base, place.dims, v)]) for v in itertools.product(*reach)]
-    found = look(g, [node for _, node in every], place, [v for v, _ in every])
-    return found if found is not None else _selected(g, starts, reach, dict(every))
+    element = look(g, [node for _, node in every], place, [v for v, _ in every])
+    return element if element is not None else _selected(g, starts, reach, dict(every))
 
 
 class _Place(NamedTuple):
-    """An element whose index varies: ``base`` moved by ``starts`` along ``dims`` of a shape."""
+    """An element whose index varies: ``base`` moved by ``starts`` along ``dims`` of a shape.
+
+    Attributes:
+        graph: Gets the nodes.
+        shape: Of the array.
+        starts: The part of the index that the run knows.
+        dims: The dimensions that they count in.
+        base: The fixed part of the index.
+    """
 
     graph: Graph
     shape: tuple[int, ...]
@@ -150,9 +162,19 @@ def flat_index(place: _Place) -> tuple[int, Node]:
 
 
 def look(g: Graph, nodes: list[Node], place: Any, at: list[Index]) -> Node | None:
-    """One node for any of ``nodes``, chosen by the index, or None where they are all different.
+    """One node for any of several, chosen by an index.
 
-    Inputs in a row are a load; equal operations on such are the operation on a load.
+    Inputs in a row are a load; constants that count are the index; equal operations on such are
+    the operation on a load.
+
+    Args:
+        g: Gets the nodes.
+        nodes: What the index can mean.
+        place: The index.
+        at: The value of the index for each of the nodes.
+
+    Returns:
+        The node, or None where they have nothing in common.
     """
     first = nodes[0]
     if all(n is first for n in nodes):
@@ -167,10 +189,10 @@ def look(g: Graph, nodes: list[Node], place: Any, at: list[Index]) -> Node | Non
         return None
     args = []
     for position in range(len(first.args)):
-        found = look(g, [n.args[position] for n in nodes], place, at)
-        if found is None:
+        chosen = look(g, [n.args[position] for n in nodes], place, at)
+        if chosen is None:
             return None
-        args.append(found)
+        args.append(chosen)
     return g.op(first.op, *args, kind=first.kind)
 
 

@@ -14,9 +14,18 @@ from jaxstage.compiler.ir.node import Node
 
 
 class Inner(NamedTuple):
-    """number: of the loop; begin: the carry before; inside, rows: carry and row of a round; given:
-    where each scanned cell comes from: (``count``, first, step), (``rows``, loop, cell) or
-    (``own``, its nodes)."""
+    """The body of a loop.
+
+    Attributes:
+        number: Its number.
+        length: Rounds.
+        reverse: Whether the last row comes first.
+        begin: Cells of the carry before it.
+        inside: Cells of the carry after a round.
+        rows: Cells of the row of a round.
+        scanned: Where each scanned cell comes from: (``count``, first, step), (``rows``, loop,
+            cell) or (``own``, its nodes).
+    """
 
     number: int
     length: int
@@ -24,23 +33,38 @@ class Inner(NamedTuple):
     begin: tuple[Node, ...]
     inside: tuple[Node, ...]
     rows: tuple[Node, ...]
-    given: tuple[Any, ...]
+    scanned: tuple[Any, ...]
 
 
 def inputs(g: Graph, number: int, name: str, like: list[np.ndarray], bounds: Any) -> list[Any]:
-    """Arrays of inputs of a round: ``L`` carry, ``X`` scanned."""
+    """Arrays of inputs of a round.
+
+    Args:
+        g: Gets the inputs.
+        number: Of the loop.
+        name: ``L`` for the carry, ``X`` for what is scanned.
+        like: Arrays of the same shapes and kinds.
+        bounds: Bounds of an input, by its place among all of them.
+    """
     out, at = [], 0
     for array in like:
-        made = np.empty(array.shape, object)
+        cells = np.empty(array.shape, object)
         for index in np.ndindex(*array.shape):
-            made[index] = g.input((name, number), at, _kind(array[index]), bounds=bounds(at))
+            cells[index] = g.input((name, number), at, _kind(array[index]), bounds=bounds(at))
             at += 1
-        out.append(made)
+        out.append(cells)
     return out
 
 
 def source_of(nodes: list[Node]) -> Any:
-    """Where one scanned cell comes from, by its node in every round."""
+    """Where one scanned cell comes from.
+
+    Args:
+        nodes: The cell in every round.
+
+    Returns:
+        (``count``, first, step), (``rows``, loop, cell), or (``own``, the nodes).
+    """
     first = nodes[0]
     if first.op == "const" and first.kind in "il":
         step = nodes[1].value - first.value if len(nodes) > 1 else 0
@@ -48,8 +72,10 @@ def source_of(nodes: list[Node]) -> Any:
             return "count", first.value, step
     if first.op == "after" and first.value[0] == "y":
         loop, cell = first.args[0], first.value[2]
-        same = [n.op == "after" and n.args[0] is loop and n.value == ("y", i, cell)
-                for i, n in enumerate(nodes)]  # fmt: skip
+        same = [
+            n.op == "after" and n.args[0] is loop and n.value == ("y", i, cell)
+            for i, n in enumerate(nodes)
+        ]
         if all(same) and len(nodes) == loop.value.length:
             return "rows", loop, cell
     return "own", tuple(nodes)
@@ -64,7 +90,13 @@ def bounds_of(source: Any, length: int) -> Any:
 
 
 def loop_node(g: Graph, inner: Inner, since: int) -> Node:
-    """The node of a loop; ``since``: nodes from this one on may be inside."""
+    """The node of a loop, which reads what its body reads from outside.
+
+    Args:
+        g: Gets the node.
+        inner: The body.
+        since: Nodes from this one on may be inside.
+    """
     number = inner.number
     within: dict[int, bool] = {}
 
@@ -79,7 +111,7 @@ def loop_node(g: Graph, inner: Inner, since: int) -> Node:
     for node in g.nodes[since:]:
         is_inside(node)
     reads: dict[int, Node] = {n.id: n for n in inner.begin}
-    for source in inner.given:
+    for source in inner.scanned:
         if source[0] == "rows":
             reads[source[1].id] = source[1]
         elif source[0] == "own":
@@ -113,17 +145,17 @@ def results(
     """The arrays that a scan gives: the last carry, and the rows of all rounds."""
     out, at = [], 0
     for array in carry:
-        made = np.empty(array.shape, object)
+        cells = np.empty(array.shape, object)
         for index in np.ndindex(*array.shape):
-            made[index] = after(g, loop, ("c", at), _kind(array[index]))
+            cells[index] = after(g, loop, ("c", at), _kind(array[index]))
             at += 1
-        out.append(made)
+        out.append(cells)
     at = 0
     for array in rows:
-        made = np.empty((loop.value.length, *array.shape), object)
+        cells = np.empty((loop.value.length, *array.shape), object)
         for index in np.ndindex(*array.shape):
             for t in range(loop.value.length):
-                made[(t, *index)] = after(g, loop, ("y", t, at), _kind(array[index]))
+                cells[(t, *index)] = after(g, loop, ("y", t, at), _kind(array[index]))
             at += 1
-        out.append(made)
+        out.append(cells)
     return out

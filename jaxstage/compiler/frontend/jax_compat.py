@@ -1,4 +1,4 @@
-"""What the engine takes from the half-public parts of JAX, and from nowhere else.
+"""The compiler's only door to the half-public parts of JAX.
 
 Everything here is known to work from jax 0.10.1 to 0.12.
 """
@@ -24,7 +24,7 @@ CALLS = frozenset(
     "custom_vjp_call_jaxpr custom_lin".split()
 )
 
-#: primitives that give what they are given; those of shardings mean nothing to a single run
+#: primitives whose results are their arguments; those of shardings mean nothing to a single run
 SAME = frozenset("stop_gradient optimization_barrier name copy copy_p pvary pcast reshard".split())
 
 

@@ -1,4 +1,4 @@
-"""A program as C++: which numbers the kernel gets, and what it computes of them."""
+"""Lowering: a program as a graph, the numbers that its kernel reads, and what it makes of them."""
 
 from typing import Any, NamedTuple
 
@@ -26,10 +26,15 @@ TABLE = 64
 
 
 class Lowered(NamedTuple):
-    """A program as a graph, and what its kernel is to be given.
+    """A program as a graph, and what its kernel is called with.
 
-    graph, results: of a tick. staged: what JAX computes. counter: which carried integers count the
-    ticks. tables: values of `staged` that are read in memory.
+    Attributes:
+        graph: Operations of a tick.
+        staged: The jaxpr with its levels: JAX computes what is not of a run.
+        results: Arrays of nodes, one a result of the jaxpr.
+        counter: Which carried integers count the ticks.
+        tables: Values of `staged` that are read in memory.
+        single: Whether reals are float32.
     """
 
     graph: Graph
@@ -43,8 +48,14 @@ class Lowered(NamedTuple):
 def lower(program: Program, closed: Any, own: tuple[bool, ...], groups: tuple[str, ...]) -> Lowered:
     """The graph of a jaxpr whose first arguments are the leaves of the program.
 
-    own: of each shared leaf and each carried one, whether runs have it for themselves. groups: the
-    names of further arguments' inputs, one an argument. Raises LoweringError with the reason.
+    Args:
+        program: Tells which leaves are inputs, shared or carried.
+        closed: The jaxpr of one tick, or of its derivative.
+        own: Of each shared leaf and each carried one, whether runs have it for themselves.
+        groups: Names of the inputs of further arguments, one an argument.
+
+    Raises:
+        LoweringError: A primitive or type has no compiled form, an array is too large.
     """
     steps = inline_calls(closed)
     carry = range(program.num_consts, program.num_consts + len(program.carry))

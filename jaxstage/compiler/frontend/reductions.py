@@ -12,7 +12,12 @@ from jaxstage.compiler.ir.node import Node, kind_of
 
 
 def elementwise(f: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
-    """An array of ``f`` of the elements, broadcast."""
+    """Broadcast arrays and apply a function.
+
+    Args:
+        f: Of one node of each array.
+        arrays: Object arrays of nodes.
+    """
     shape = np.broadcast_shapes(*(a.shape for a in arrays))
     wide = [np.broadcast_to(a, shape) for a in arrays]
     out = np.empty(shape, object)
@@ -30,7 +35,11 @@ def tree_sum(g: Graph, name: str, nodes: list[Node]) -> Node:
 
 
 def long_sum(g: Graph, nodes: list[Node]) -> Node:
-    """The sum; one node where a kernel may make a loop of it."""
+    """The sum of nodes.
+
+    Returns:
+        A node `sum` where a kernel may make a loop of it, else a tree of additions.
+    """
     nodes = [n for n in nodes if not (n.op == "const" and n.value == 0)] or nodes[:1]
     if g.rich and len(nodes) >= LONG and nodes[0].kind == "f":
         return g.special("sum", tuple(nodes), None, "f")
@@ -60,6 +69,13 @@ def _finite_together(g: Graph, nodes: list[Node]) -> list[Node]:
     """Without claims that follow from others: what a finite sum or product is made of is finite.
 
     Claims under one condition, ``condition or is_finite(x)``, are together, too.
+
+    Args:
+        g: Gets the nodes.
+        nodes: Truth values that must all hold.
+
+    Returns:
+        Fewer truth values that must all hold.
     """
     conditions: dict[Node | None, list[Node]] = {}
     rest = []
@@ -201,10 +217,16 @@ def dot(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
 
 #: every reduction by the name of its primitive
 REDUCTIONS: dict[str, Callable[..., list[Any]]] = {
-    "reduce_sum": _reduction("add", 0), "reduce_prod": _reduction("mul", 1),
-    "reduce_max": _reduction("max", -math.inf), "reduce_min": _reduction("min", math.inf),
-    "reduce_and": _reduction("and", True), "reduce_or": _reduction("or", False),
-    "argmax": _argument("gt"), "argmin": _argument("lt"),
-    "cumsum": _cumulative("add"), "cumprod": _cumulative("mul"),
-    "cummax": _cumulative("max"), "cummin": _cumulative("min"),
-}  # fmt: skip
+    "reduce_sum": _reduction("add", 0),
+    "reduce_prod": _reduction("mul", 1),
+    "reduce_max": _reduction("max", -math.inf),
+    "reduce_min": _reduction("min", math.inf),
+    "reduce_and": _reduction("and", True),
+    "reduce_or": _reduction("or", False),
+    "argmax": _argument("gt"),
+    "argmin": _argument("lt"),
+    "cumsum": _cumulative("add"),
+    "cumprod": _cumulative("mul"),
+    "cummax": _cumulative("max"),
+    "cummin": _cumulative("min"),
+}

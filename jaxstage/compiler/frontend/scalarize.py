@@ -46,7 +46,13 @@ WRITTEN_OUT = 1500
 
 
 class Traced(NamedTuple):
-    """A function as a graph: see the module."""
+    """A function as a graph.
+
+    Attributes:
+        graph: All nodes.
+        inputs: The argument trees, every leaf an object array of nodes `in`.
+        outputs: The result tree, every leaf an object array of nodes.
+    """
 
     graph: Graph
     inputs: tuple[Any, ...]
@@ -54,9 +60,15 @@ class Traced(NamedTuple):
 
 
 def scalar_graph(function: Callable[..., Any], *examples: Any, single: bool = False) -> Traced:
-    """Trace ``function(*examples)`` into scalar operations. single: its reals are float32.
+    """Trace ``function(*examples)`` into scalar operations.
 
-    Raises LoweringError where the function cannot be written so.
+    Args:
+        function: Of pytrees.
+        examples: Arrays, or their shapes and types.
+        single: Whether its reals are float32.
+
+    Raises:
+        LoweringError: The function cannot be written so.
     """
     leaves, structure = jax.tree.flatten(examples)
     leaves = [x if hasattr(x, "dtype") else jnp.asarray(x) for x in leaves]
@@ -89,7 +101,17 @@ def cells(tree: Any) -> list[Node]:
 
 
 def scalarise(graph: Graph, jaxpr: Any, consts: Any, args: list[Any]) -> list[Any]:
-    """Evaluate a jaxpr on object arrays of nodes (or `ConstantTable`s)."""
+    """Abstract interpretation of a jaxpr.
+
+    Args:
+        graph: Gets the nodes.
+        jaxpr: The equations.
+        consts: Values that it closes over.
+        args: Object arrays of nodes, or tables.
+
+    Returns:
+        Object arrays of nodes, one a result.
+    """
     env: dict[Any, Any] = {}
 
     def read(var: Any) -> Any:
@@ -121,7 +143,16 @@ def lifted(graph: Graph, value: Any) -> Any:
 
 
 def evaluate(graph: Graph, equation: Any, args: list[Any]) -> list[Any]:
-    """One equation on arrays of nodes. Raises LoweringError naming the primitive."""
+    """One equation.
+
+    Args:
+        graph: Gets the nodes.
+        equation: Of a jaxpr.
+        args: Object arrays of nodes, or tables.
+
+    Raises:
+        LoweringError: Names the primitive that has no such form.
+    """
     name, params = equation.primitive.name, equation.params
     if name in CALLS:
         if _is_floor_division(params.get("name", ""), args):
@@ -254,18 +285,24 @@ def _looped(
     """As a node `loop`."""
     length, body = equation.params["length"], equation.params["jaxpr"]
     number = since = len(g.nodes)
-    given = [
+    scanned = [
         source_of([x[(t, *index)] for t in range(length)])
-        for x in xs for index in np.ndindex(*x.shape[1:])
-    ]  # fmt: skip
+        for x in xs
+        for index in np.ndindex(*x.shape[1:])
+    ]
     own = inputs(g, number, "L", carry, lambda _: None)
-    row = inputs(g, number, "X", [_row(x, 0) for x in xs], lambda i: bounds_of(given[i], length))
+    row = inputs(g, number, "X", [_row(x, 0) for x in xs], lambda i: bounds_of(scanned[i], length))
     out = scalarise(g, body.jaxpr, body.consts, [*fixed, *own, *row])
     inside, rows = out[: len(carry)], out[len(carry) :]
     inner = Inner(
-        number, length, equation.params["reverse"], tuple(cells(carry)), tuple(cells(inside)),
-        tuple(cells(rows)), tuple(given),
-    )  # fmt: skip
+        number,
+        length,
+        equation.params["reverse"],
+        tuple(cells(carry)),
+        tuple(cells(inside)),
+        tuple(cells(rows)),
+        tuple(scanned),
+    )
     loop = loop_node(g, inner, since)
     return results(g, loop, inside, rows)
 
@@ -308,7 +345,12 @@ def _iota(g: Graph, equation: Any, args: list[Any]) -> list[Any]:
 _CONTROL: dict[str, Callable[..., list[Any]]] = {"scan": _scan, "cond": _cond}
 _STRUCTURED: dict[str, Callable[..., list[Any]]] = {
     **REDUCTIONS,
-    "dot_general": dot, "iota": _iota, 
-    "scatter": scatter, "scatter-add": scatter, "scatter_add": scatter, "scatter-mul": scatter,
-    "scatter_mul": scatter, "dynamic_update_slice": update_at,
-}  # fmt: skip
+    "dot_general": dot,
+    "iota": _iota,
+    "scatter": scatter,
+    "scatter-add": scatter,
+    "scatter_add": scatter,
+    "scatter-mul": scatter,
+    "scatter_mul": scatter,
+    "dynamic_update_slice": update_at,
+}

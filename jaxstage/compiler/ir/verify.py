@@ -86,8 +86,8 @@ def _of_bounds(node: Node) -> Iterator[str]:
 
 def _of_const(node: Node) -> Iterator[str]:
     value: Any = node.value
-    wanted = {"f": float, "b": bool}.get(node.kind, int)
-    if type(value) is not wanted:
+    expected = {"f": float, "b": bool}.get(node.kind, int)
+    if type(value) is not expected:
         yield f"its value is of type {type(value).__name__}"
     elif math.isnan(value) != node.nan or (not node.nan and not node.low == value == node.high):
         yield f"its bounds are {node.low} .. {node.high}"
@@ -112,7 +112,7 @@ def _of_loop(node: Node) -> Iterator[str]:
     reads = {a.id for a in node.args}
     if not {n.id for n in inner.begin} <= reads:
         yield "it does not read the carry before it"
-    counts = {"L": len(inner.begin), "X": len(inner.given)}
+    counts = {"L": len(inner.begin), "X": len(inner.scanned)}
     seen = set(reads)
     stack: list[Node] = [*inner.inside, *inner.rows]
     while stack:

@@ -67,7 +67,7 @@ def _cells(node: Node, inputs: Counter[Any], alike: Alike) -> tuple[Node, ...]:
     return tuple(c for a in node.args for c in alike.cells[a.id])[: CELLS + 1]
 
 
-class Search(NamedTuple):
+class LoopSearch(NamedTuple):
     """What a back end puts in loops.
 
     Attributes:
@@ -119,15 +119,15 @@ class Roll(NamedTuple):
         return [*self.same, *(node for nodes in self.others.values() for node in nodes)]
 
 
-def rolls(nodes: Sequence[Node], groups: Iterable[Sequence[int]], search: Search) -> list[Roll]:
+def rolls(nodes: Sequence[Node], groups: Iterable[Sequence[int]], search: LoopSearch) -> list[Roll]:
     """The loops that replace groups of nodes, given by their places among the nodes."""
-    made = []
+    loops: list[Roll] = []
     for members in groups:
         if len(members) >= search.rounds:
             roll = _rolled(nodes, tuple(members), search)
             if roll is not None:
-                made.append(roll)
-    return made
+                loops.append(roll)
+    return loops
 
 
 def groups_of_alike(nodes: Sequence[Node], keys: Sequence[Any], alike: Alike) -> list[list[int]]:
@@ -139,7 +139,7 @@ def groups_of_alike(nodes: Sequence[Node], keys: Sequence[Any], alike: Alike) ->
     return list(groups.values())
 
 
-def gathered(nodes: Sequence[Node], search: Search) -> dict[int, tuple[list[Node], list[Roll]]]:
+def gathered(nodes: Sequence[Node], search: LoopSearch) -> dict[int, tuple[list[Node], list[Roll]]]:
     """Sums, and claims of many parts, that hold loops.
 
     Args:
@@ -196,7 +196,7 @@ Together = tuple[Node, ...]
 class _Forms:
     """The forms of nodes of all rounds together, as far as they are made."""
 
-    search: Search
+    search: LoopSearch
     made: dict[tuple[int, ...], Node] = dataclasses.field(default_factory=dict)
     taken: set[int] = dataclasses.field(default_factory=set)
     rows: dict[int, Row] = dataclasses.field(default_factory=dict)
@@ -205,7 +205,7 @@ class _Forms:
     operations: int = 0
 
 
-def _rolled(nodes: Sequence[Node], members: tuple[int, ...], search: Search) -> Roll | None:
+def _rolled(nodes: Sequence[Node], members: tuple[int, ...], search: LoopSearch) -> Roll | None:
     """The loop over some nodes, or None where they have no form or nothing is gained by it."""
     forms, whole = _Forms(search), tuple(nodes[m] for m in members)
     stack = [whole]

@@ -1,4 +1,4 @@
-"""A graph where a condition holds, as it does in nearly every tick: less is left to compute."""
+"""Specialisation of a graph under a predicate that holds in nearly every tick."""
 
 from jaxstage.compiler.ir.graph import Graph
 from jaxstage.compiler.ir.node import Node, ordered
@@ -6,8 +6,11 @@ from jaxstage.compiler.passes.store_forms import Store, conjuncts
 
 
 def specialize(graph: Graph, stores: list[Store], condition: Node) -> list[Store] | None:
-    """The stores where the condition holds; None where they hold inner loops, which stay as they
-    are."""
+    """The stores where a condition holds: its conjuncts are constants, and less is left to compute.
+
+    Returns:
+        The stores; None where they hold inner loops, which stay as they are.
+    """
     nodes = ordered(n for s in stores for n in s.needs)
     if any(n.op == "loop" for n in nodes):
         return None

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 from jaxstage.compiler.ir.node import LIMITS, Node
 from jaxstage.compiler.passes.loop_reroll import (
+    LoopSearch,
     Roll,
     Row,
-    Search,
     groups_of_alike,
     rolls,
 )
@@ -146,15 +146,15 @@ def excluded(store: Store, condition: Node, cells: Cells) -> bool:
     node = store.node
     if node.op != "select" or store.add or not cells.holds(store, node.args[2]):
         return False
-    given = conjuncts(condition)
+    known = conjuncts(condition)
     return any(
-        (part, not truth) in given or (not truth and conjuncts(part) <= given)
+        (part, not truth) in known or (not truth and conjuncts(part) <= known)
         for part, truth in conjuncts(node.args[0])
     )
 
 
 def conjuncts(node: Node) -> set[tuple[Node, bool]]:
-    """Conditions that must all be as given for a condition to hold."""
+    """Conditions that that must all have these values for a condition to hold."""
     if node.op == "and":
         return conjuncts(node.args[0]) | conjuncts(node.args[1])
     return {(node.args[0], False)} if node.op == "not" else {(node, True)}
@@ -201,7 +201,7 @@ class Rolled(NamedTuple):
 
 
 def rolled(
-    stores: Sequence[Store], puts: Sequence[Put], search: Search, cells: Cells
+    stores: Sequence[Store], puts: Sequence[Put], search: LoopSearch, cells: Cells
 ) -> tuple[list[Rolled], list[Store]]:
     """The stores that are made in loops, and the rest.
 
@@ -252,7 +252,9 @@ class Plan(NamedTuple):
     plain: list[Store]
 
 
-def plan(stores: Sequence[Store], cells: Cells, search: Search | None, kinds: str = "f") -> Plan:
+def plan(
+    stores: Sequence[Store], cells: Cells, search: LoopSearch | None, kinds: str = "f"
+) -> Plan:
     """The forms of stores.
 
     Args:
