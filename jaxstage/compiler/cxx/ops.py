@@ -47,9 +47,9 @@ def expression(node: Node, args: list[str], single: bool) -> str:
         return form.truth.format(*args) if form.truth else _refuse(node)
     if kinds == {"u"} and single and node.op in _UNSIGNED:
         return _UNSIGNED[node.op].format(*args)
-    if node.op == "div" and node.kind != "f":
-        return _quotient(node, args)
-    if not form.text or (node.op == "rem" and node.kind == "u"):
+    if node.op in ("div", "rem") and node.kind != "f":
+        return _divided(node, args)
+    if not form.text:
         return _refuse(node)
     return _wrapped(node, form.text.format(*args))
 
@@ -124,17 +124,41 @@ def _cast(node: Node, args: list[str], single: bool) -> str:
         return _refuse(node)
     if low <= source.low and source.high <= high:
         return f"truncated(or_zero({text}))"  # a lost run may hold NaN, and this be an index
-    top = 2147483520 if single else min(high, 2**63 - 1024)  # the largest real below the limit
-    return f"truncated({text}, (real){low}, (real){top})"
+    most = int(high)
+    top = 2147483520 if single else min(most, 2**63 - 1024)  # the largest real not above
+    edge = f", {_whole(most)}" if top < most else ""
+    return f"truncated({text}, (real){low}, (real){top}{edge})"
 
 
-def _quotient(node: Node, args: list[str]) -> str:
-    divisor = node.args[1]
-    if divisor.op == "const" and node.args[0].low >= 0:
+def _divided(node: Node, args: list[str]) -> str:
+    """Quotient or remainder of integers."""
+    dividend, divisor = node.args
+    name = "quotient" if node.op == "div" else "remainder"
+    if name == "remainder" and node.kind == "u":
+        return _refuse(node)
+    unsigned = "_unsigned" if node.kind == "u" else ""
+    if divisor.low <= 0:
+        text = f"{name}{unsigned}_by_any({args[0]}, {args[1]})"
+        return f"to_int32({text})" if node.kind == "i" else text
+    if name == "remainder":
+        return f"remainder_of({args[0]}, {args[1]})"
+    if divisor.op == "const" and dividend.low >= 0:
         shift = divisor.value.bit_length() - 1
         if divisor.value == 1 << shift:
             return f"shifted_right({args[0]}, same({shift}))"
-    return f"quotient{'_unsigned' if node.kind == 'u' else ''}({args[0]}, {args[1]})"
+    return f"quotient{unsigned}({args[0]}, {args[1]})"
+
+
+def _shift(node: Node, args: list[str], single: bool) -> str:
+    """A logical shift; one by more than the width leaves nothing."""
+    value, by = node.args
+    width = 64 if node.kind == "l" and not single else 32
+    if 0 <= by.low <= by.high < width and (node.op == "shl" or value.low >= 0):
+        text = (OPS[node.op].cxx or Cxx()).text.format(*args)
+    else:
+        name = "shifted_left" if node.op == "shl" else "shifted_right"
+        text = f"{name}_by_any({args[0]}, {args[1]}, {width})"
+    return _wrapped(node, text)
 
 
 #: operations whose text depends on what is known of their arguments
@@ -144,4 +168,6 @@ _SPECIAL: dict[str, Callable[[Node, list[str], bool], str]] = {
     "exp": _exp,
     "min": _extreme,
     "max": _extreme,
+    "shl": _shift,
+    "shr": _shift,
 }

@@ -171,6 +171,9 @@ INLINE ints truncated(vec x, real low, real high) {  // saturating; NaN gives 0
   ints r = truncated(smaller(all(high), larger(all(low), x)));
   return pick(eq(x, x), r, same(0));
 }
+INLINE ints truncated(vec x, real low, real high, whole most) {  // no real is the largest integer
+  return pick(gt(x, all(high)), same(most), truncated(x, low, high));
+}
 INLINE vec to_real(ints x) { return __builtin_convertvector(x, vec); }
 INLINE vec to_real_unsigned(ints x) { return __builtin_convertvector((bits)x, vec); }
 INLINE ints quotient(ints a, ints b) { return a / b; }
@@ -178,6 +181,31 @@ INLINE ints quotient_unsigned(ints a, ints b) { return (ints)((bits)a / (bits)b)
 INLINE ints to_int32(ints x) { return SINGLE ? x : (x << (sizeof(whole) * 8 - 32)) >> (sizeof(whole) * 8 - 32); }
 INLINE ints to_uint32(ints x) { return SINGLE ? x : x & (whole)0xffffffffLL; }
 INLINE ints shifted_right(ints x, ints by) { return (ints)((bits)x >> (bits)by); }
+// by any number, as XLA has it: x / 0 = -1, x % 0 = x, the least number / -1 wraps; bits beyond the
+// width are gone
+INLINE ints quotient_by_any(ints a, ints b) {
+  const mask zero = eq(b, same(0)), minus = eq(b, same(-1));
+  const ints negative = (ints)(bits{} - (bits)a);
+  return pick(zero, same(-1), pick(minus, negative, a / pick(either(zero, minus), same(1), b)));
+}
+INLINE ints remainder_by_any(ints a, ints b) {
+  const mask zero = eq(b, same(0)), minus = eq(b, same(-1));
+  const ints divisor = pick(either(zero, minus), same(1), b);
+  return pick(zero, a, a - a / divisor * divisor);
+}
+INLINE ints quotient_unsigned_by_any(ints a, ints b) {
+  const mask zero = eq(b, same(0));
+  return pick(zero, to_uint32(same(-1)), quotient_unsigned(a, pick(zero, same(1), b)));
+}
+INLINE ints shifted_left_by_any(ints x, ints by, whole width) {
+  const mask gone = either(lt(by, same(0)), ge(by, same(width)));
+  return pick(gone, same(0), (ints)((bits)x << (bits)pick(gone, same(0), by)));
+}
+INLINE ints shifted_right_by_any(ints x, ints by, whole width) {
+  const mask gone = either(lt(by, same(0)), ge(by, same(width)));
+  const ints plain = width == 32 ? to_uint32(x) : x;
+  return pick(gone, same(0), shifted_right(plain, pick(gone, same(0), by)));
+}
 
 // --- elementary functions ---------------------------------------------------------------------
 // x = n ln 2 + r with n whole and |r| <= ln 2 / 2; e^r - 1 = r + r^2 q(r), q near-minimax.

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from jaxstage.compiler.frontend.constant_table import ConstantTable, cells_of
 from jaxstage.compiler.frontend.gather_scatter import Lookup, gather, scatter, slice_at, update_at
@@ -218,19 +219,30 @@ def _pick(g: Graph, kind: str, params: Any, which: Node, *cases: Node) -> Node:
 
 
 def _shift_right(g: Graph, kind: str, params: Any, x: Node, by: Node) -> Node:
+    """Arithmetic shift: a negative number is one below the opposite of what is left of the rest."""
     if x.kind == "u" or x.low >= 0:
         return g.op("shr", x, by, kind=x.kind)
-    if by.op != "const":
-        raise LoweringError("an arithmetic shift by a varying number")
-    divisor = g.const(1 << by.value, x.kind)
-    down = g.op("sub", x, g.const((1 << by.value) - 1, x.kind))
-    return g.op("div", g.op("select", g.op("lt", x, g.const(0, x.kind)), down, x), divisor)
+    negative = g.op("lt", x, g.const(0, x.kind))
+    moved = g.op("shr", g.op("select", negative, g.op("not", x), x), by, kind=x.kind)
+    return g.op("select", negative, g.op("not", moved), moved)
+
+
+def _round(g: Graph, kind: str, params: Any, x: Node) -> Node:
+    """The nearest whole number; of two, the even one or that away from zero."""
+    if params["rounding_method"] == lax.RoundingMethod.TO_NEAREST_EVEN:
+        return g.op("round", x)
+    size = g.op("abs", x)
+    down = g.op("floor", size)
+    up = g.op("ge", g.op("sub", size, down), g.const(0.5, "f"))
+    whole = g.op("select", up, g.op("add", down, g.const(1, "f")), down)
+    return g.op("mul", g.op("sign", x), whole)
 
 
 _RENAMED = {"add_any": "add", "lt_to": "lt", "le_to": "le", "eq_to": "eq"}
 _ELEMENTWISE: dict[str, Callable[..., Node]] = {
     **{op.name: _plain(op.name) for op in OPS.values() if op.primitive},
     **{name: _plain(other) for name, other in _RENAMED.items()},
+    "round": _round,
     "square": lambda g, kind, params, x: g.op("mul", x, x),
     "one_minus_square": _one_minus_square,
     "integer_pow": lambda g, kind, params, x: power(g, x, params["y"]),

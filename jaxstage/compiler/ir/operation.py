@@ -44,12 +44,10 @@ class Cxx(NamedTuple):
 
     Attributes:
         text: On numbers.
-        whole: On integers, where it differs.
         truth: On truth values.
     """
 
     text: str = ""
-    whole: str = ""
     truth: str = ""
 
 
