@@ -17,7 +17,7 @@ from jaxstage.studies.claim import judge as judge
 from jaxstage.studies.comparison import Comparison as Comparison
 from jaxstage.studies.comparison import compare as compare
 from jaxstage.studies.comparison import stored_verdicts as stored_verdicts
-from jaxstage.studies.own import own_studies
+from jaxstage.studies.own import own_files, own_studies
 from jaxstage.studies.precision import LARGEST, stored_precision, worst
 from jaxstage.studies.study import Box as Box
 from jaxstage.studies.study import NamedLoop as NamedLoop
@@ -39,12 +39,26 @@ def known_studies() -> tuple[Study, ...]:
     Raises ValueError for a file that cannot be used, and for a name that two of them give.
     """
     studies = (*all_studies, *own_studies())
-    names = [entry.name for study in studies for entry in study.loops]
-    names += [study.name for study in studies]
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise ValueError(f"two studies or loops are called {', '.join(sorted(twice))}")
+    loops = [entry.name for study in studies for entry in study.loops]
+    names = [study.name for study in studies]
+    for kind, twice in (
+        ("two loops are", {name for name in loops if loops.count(name) > 1}),
+        ("two studies are", {name for name in names if names.count(name) > 1}),
+        ("a study and a loop are both", {*names} & {*loops}),
+    ):
+        if twice:
+            raise ValueError(f"{kind} called {', '.join(sorted(twice))}{_places(studies, twice)}")
     return studies
+
+
+def _places(studies: tuple[Study, ...], names: set[str]) -> str:
+    """The user's own files that give one of the names."""
+    files = [
+        str(file)
+        for file, study in zip(own_files(), studies[len(all_studies) :], strict=False)
+        if {study.name, *(entry.name for entry in study.loops)} & names
+    ]
+    return f" ({', '.join(dict.fromkeys(files))})" if files else ""
 
 
 def loop_names() -> tuple[str, ...]:
@@ -78,7 +92,8 @@ def build(name: str, timing: Timing | None = None) -> Case:
             metric, difference = worst(stored_precision(study.name).get(name, {"": 0.0}))
             if difference > LARGEST:
                 warnings.warn(
-                    f"single precision moves {metric} of {name} by {difference:.1%}: "
+                    f"single precision moves {metric} of {name} by {difference:.1%} at its own "
+                    "timing: "
                     'call configure(precision="double") first',
                     stacklevel=2,
                 )

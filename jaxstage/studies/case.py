@@ -31,9 +31,35 @@ class Timing:
     skip: float | None = None
 
 
+def retimed(own: Timing, **changes: Any) -> Timing:
+    """A loop's own timing with changes.
+
+    What it leaves out at the start, and its duration, keep their share of a lap where the lap time
+    changes, unless they are named too. Naming ``laps`` drops its duration, ``scored`` its skip.
+    """
+    follow: dict[str, Any] = {}
+    if (lap_time := changes.get("lap_time")) is not None:
+        share = lap_time / own.lap_time
+        follow = {
+            name: None if value is None else value * share
+            for name, value in (("skip", own.skip), ("duration", own.duration))
+        }
+        follow["feed"] = None
+    follow |= {"duration": None} if "laps" in changes else {}
+    follow |= {"skip": None} if "scored" in changes else {}
+    return replace(own, **(follow | changes))
+
+
 class Window(NamedTuple):
-    """Ticks of a run: its length, start and stop of the scored part; laps in the run, the scored
-    lap (0 where it is not one lap) and the ticks of a lap."""
+    """What of a run is scored, in control periods.
+
+    Attributes:
+        ticks: Length of the run.
+        start, stop: The scored part, from ``start`` to before ``stop``.
+        laps: Laps in the run.
+        scored: The scored lap, 1 is the first; 0 where the part is not one lap.
+        lap: Length of a lap.
+    """
 
     ticks: int
     start: int
@@ -41,6 +67,25 @@ class Window(NamedTuple):
     laps: float
     scored: int
     lap: int
+
+    @property
+    def scored_laps(self) -> float:
+        """Laps in the scored part."""
+        return (self.stop - self.start) / self.lap
+
+    def refuse_part_of_a_lap(self, own: Timing) -> None:
+        """Raise ValueError where less than a lap is scored, and less than with a loop's own timing.
+
+        For timing that does not name what is scored.
+        """
+        duration = own.laps * own.lap_time if own.duration is None else own.duration
+        least = min(1.0, (duration - (own.skip or 0.0)) / own.lap_time)
+        # the ends of a part that is given in s are rounded to a control period each
+        if self.stop - self.start < least * self.lap - 2:
+            raise ValueError(
+                f"only {self.scored_laps:.3g} lap of the run would be scored: must be >= "
+                f"{least:.3g}; give more laps, or name the part with skip (s) or scored (lap)"
+            )
 
 
 #: ticks and substeps of a run are counted in 32 bits, and a lap is kept in memory
@@ -89,7 +134,8 @@ def window(timing: Timing, lap_ticks: int) -> Window:
         start = math.ceil(timing.skip / timing.dt * (1 - 1e-12))
         if start >= ticks:
             raise ValueError(
-                f"skip = {timing.skip} s: must be < the run of {ticks * timing.dt:g} s"
+                f"skip = {timing.skip:g} s: must be < the run of {ticks * timing.dt:g} s: more "
+                "laps, or less skip"
             )
         return Window(ticks, start, ticks, laps, 0, lap_ticks)
     if scored == 0:

@@ -12,7 +12,12 @@ import sys
 import traceback
 from pathlib import Path
 
-from jaxstage.studies.study import Study
+from jaxstage.model.fields import replace
+from jaxstage.studies.case import Case, Timing
+from jaxstage.studies.claim import Claim
+from jaxstage.studies.experiment import Experiment
+from jaxstage.studies.plots import ChartPlot, RunPlot
+from jaxstage.studies.study import Box, NamedLoop, Spread, Study
 
 #: the environment variable
 VARIABLE = "JAXSTAGE_STUDIES"
@@ -60,17 +65,65 @@ def _load(file: Path) -> Study:
     sys.modules[name] = module  # where dataclasses look up what a class refers to
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+        study = _checked(file, getattr(module, "study", None))
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise ValueError(f"{VARIABLE}: {_place(file, error)}: {_said(error)}") from error
-    study = getattr(module, "study", None)
+        raise _refusal(file, error) from error
+    loops = tuple(
+        replace(entry, build=functools.partial(_build, file, entry)) for entry in study.loops
+    )
+    return replace(study, loops=loops)
+
+
+#: field of a study -> what it holds; fields of these that are text
+PARTS = {"loops": NamedLoop, "spreads": Spread, "boxes": Box, "references": str}
+PARTS |= {"experiments": Experiment, "claims": Claim, "plots": (ChartPlot, RunPlot)}
+TEXTS = ("name", "title", "source", "summary", "path", "reason")
+
+
+def _checked(file: Path, study: object) -> Study:
+    """The study of a file. Raises ValueError for a part that is not of its kind."""
     if not isinstance(study, Study):
-        del sys.modules[name]
-        raise ValueError(f"{VARIABLE}: {file}: must hold study = Study(...)")
-    return study
+        raise ValueError("must hold study = Study(...)")
+    for field, kind in PARTS.items():
+        parts = getattr(study, field)
+        if not isinstance(parts, tuple | list) or not all(isinstance(p, kind) for p in parts):
+            kinds = kind if isinstance(kind, tuple) else (kind,)
+            told = " or ".join(one.__name__ for one in kinds)
+            raise ValueError(f"{field} of the study = {parts!r}: must be a tuple of {told}")
+    for part in (study, *study.loops, *study.spreads, *study.boxes):
+        for field in TEXTS:
+            value = getattr(part, field, "")
+            if not isinstance(value, str):
+                kind = type(part).__name__
+                raise ValueError(f"{field} of a {kind} = {value!r}: must be text")
+    for entry in study.loops:
+        if not callable(entry.build):
+            raise ValueError(f"build of {entry.name} = {entry.build!r}: must be a function")
+        if not isinstance(entry.timing, Timing):
+            raise ValueError(f"timing of {entry.name} = {entry.timing!r}: must be a Timing")
+    return replace(study, **{field: tuple(getattr(study, field)) for field in PARTS})
 
 
-def _place(file: Path, error: Exception) -> str:
+def _build(file: Path, entry: NamedLoop, timing: Timing) -> Case:
+    """The case of a loop of a file. Raises ValueError where its ``build`` fails or gives none."""
+    try:
+        case = entry.build(timing)
+    except ValueError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise _refusal(file, error) from error
+    if not isinstance(case, Case):
+        told = f"build of {entry.name} gives {case!r:.60}: must be a Case"
+        raise ValueError(f"{VARIABLE}: {file}: {told}")
+    return case
+
+
+def _refusal(file: Path, error: BaseException) -> ValueError:
+    return ValueError(f"{VARIABLE}: {_place(file, error)}: {_said(error)}")
+
+
+def _place(file: Path, error: BaseException) -> str:
     """``file:line`` of an error, as far as it lies in the file."""
     if isinstance(error, SyntaxError):
         return f"{file}:{error.lineno}"
@@ -79,5 +132,7 @@ def _place(file: Path, error: Exception) -> str:
     return f"{file}:{lines[-1]}" if lines else str(file)
 
 
-def _said(error: Exception) -> str:
-    return f"{type(error).__name__}: {error.msg if isinstance(error, SyntaxError) else error}"
+def _said(error: BaseException) -> str:
+    """What went wrong, in one line; our own words as they are."""
+    told = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
+    return told if type(error) is ValueError else f"{type(error).__name__}: {told}"

@@ -7,12 +7,29 @@ from jaxstage.metrics.words import length_text, time_text
 from jaxstage.studies.case import Case
 
 
+def scored_columns(case: Case) -> dict[str, float]:
+    """The part of a run that its metrics cover, as columns."""
+    window, dt = case.window, case.loop.dt
+    return {
+        "scored_from_s": window.start * dt,
+        "scored_to_s": window.stop * dt,
+        "scored_laps": window.scored_laps,
+    }
+
+
 def scored_text(case: Case) -> str:
-    """What the metrics cover."""
-    if case.window.scored == 0:
-        start = case.window.start * case.loop.dt
-        return f"t >= {time_text(start)}" if start else "whole run"
-    return f"lap {case.window.scored} of {case.window.laps:g}"
+    """What the metrics cover: the lap, or how many; from when to when."""
+    window = case.window
+    whole = window.stop - window.start == window.ticks and not window.scored
+    lap = f"lap {window.scored} of {window.laps:g}" if window.scored else ""
+    return span_text(scored_columns(case), "whole run" if whole else lap)
+
+
+def span_text(columns: Mapping[str, Any], part: str = "") -> str:
+    """The words for `scored_columns`. part: what they cover, if it has a name; else the laps."""
+    laps = columns["scored_laps"]
+    part = part or f"{laps:.3g} lap{'' if laps <= 1 else 's'}"
+    return f"{part}, {columns['scored_from_s']:.4g} to {columns['scored_to_s']:.4g} s"
 
 
 def lost_because(case: Case, left_path_at: int | None) -> str:

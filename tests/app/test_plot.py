@@ -130,7 +130,9 @@ class _Nowhere:
 def test_contour_states_its_magnification_verdict_and_settings(shown):
     words = texts(plot.contour(shown))
     factor = magnification(shown)
-    assert f"drawn × {factor:g}" in words and f"error × {factor:g} (lap 2 of 2)" in words
+    assert (
+        f"drawn × {factor:g}" in words and f"error × {factor:g} (lap 2 of 2, 0.5 to 1 s)" in words
+    )
     assert "path: 10 mm" in words and "error: " in words
     rms = np.sqrt(np.mean(shown.distance[5000:] ** 2))
     assert f"contour error {rms * 1e6:.3g} µm RMS" in words

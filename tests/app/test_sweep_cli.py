@@ -66,6 +66,7 @@ def test_one_object_that_says_all(command, shared):
         assert loop["statistics"]["p95"] is None
         assert loop["reasons"]["p95"] == "not enough samples: needs 200 runs"
         assert loop["claim"]["target"] == 0.9
+        assert [loop[f"scored_{key}"] for key in ("from_s", "to_s", "laps")] == [0.0, 0.02, 1.0]
     (pair,) = found["comparisons"]
     gap = [
         a["contour_max_um"] - b["contour_max_um"] for a, b in zip(rows[:8], rows[8:], strict=True)

@@ -110,6 +110,9 @@ def test_one_object_that_says_all(command, shared):
         assert one["low"] <= one["value"] <= one["high"]
     validation = [found["diagnostics"][name] for name in ("exact", "half_step", "longer")]
     assert all(trial["lost"] == 0 and trial["before"] > 0 for trial in validation)
+    assert found["scored"].keys() == {"loop", "training", "held_out"}
+    for parts in found["scored"].values():
+        assert all(part["scored_to_s"] > part["scored_from_s"] >= 0 for part in parts) and parts
     (other,) = found["baselines"]
     assert other["method"] == "cma" and other["objective"] <= 1
     assert other["units"] == pytest.approx(found["units"], rel=0.3)

@@ -23,6 +23,12 @@ study = Study(
 )
 """
 
+#: a study of nothing but what is put in
+WITH = """
+from jaxstage.studies import NamedLoop, Study
+study = Study(name="other", title="T", source="S", {})
+"""
+
 
 @pytest.fixture
 def own(tmp_path, monkeypatch):
@@ -54,7 +60,30 @@ def test_a_loop_of_a_file_is_known_while_the_variable_names_it(own, monkeypatch)
         ("def broken(:\n", r"own\.py:1: SyntaxError: "),
         ("x = 1\nimport nowhere_at_all\n", r"own\.py:2: ModuleNotFoundError: No module"),
         ("x = 1\n", r"own\.py: must hold study = Study\(\.\.\.\)"),
-        (STUDY.replace('name="mine"', 'name="pi-circle"'), "two studies or loops are called pi-c"),
+        (
+            STUDY.replace('name="mine"', 'name="pi-circle"'),
+            r"two loops are called pi-circle \(.*own\.py\)",
+        ),
+        (
+            STUDY.replace('name="own"', 'name="mine"'),
+            r"a study and a loop are both called mine \(.*own\.py\)",
+        ),
+        (STUDY.replace('name="own"', 'name="fuzzy-ccc"'), "two studies are called fuzzy-ccc"),
+        ("x = 1\nexit(3)\n", r"own\.py:2: SystemExit: 3"),
+        ("raise KeyError('two\\nlines')\n", r"own\.py:1: KeyError: 'two.*lines'"),
+        (WITH.format("loops=3"), r"own\.py: loops of the study = 3: must be a tuple of NamedLoop"),
+        (WITH.format("loops=[1]"), r"loops of the study = \[1\]: must be a tuple of NamedLoop"),
+        (WITH.format("loops=(), spreads=3"), "spreads of the study = 3: must be a tuple of Spread"),
+        (WITH.format("loops=(), plots=(1,)"), "must be a tuple of ChartPlot or RunPlot"),
+        (WITH.format("loops=(NamedLoop(name='a', summary='', build=4),)"), "build of a = 4"),
+        (
+            WITH.format("loops=(NamedLoop(name=5, summary='', build=id),)"),
+            "name of a NamedLoop",
+        ),
+        (
+            WITH.format("loops=(NamedLoop(name='a', summary='', build=id, timing=3),)"),
+            "timing of a = 3: must be a Timing",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named(own, text, message):
@@ -92,3 +121,26 @@ def test_a_sweep_remembers_the_file(own):
     build.cache_clear()
     with pytest.raises(ValueError, match="mine: its file in JAXSTAGE_STUDIES is not the one"):
         build(text)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("None", r"own\.py: build of mine gives None: must be a Case"),
+        ("timing.nowhere", r"own\.py:\d+: AttributeError: 'Timing' object has no attribute"),
+        ("exit(3)", r"own\.py:\d+: SystemExit: 3"),
+    ],
+)
+def test_a_build_that_fails_or_gives_no_case_is_one_line(own, body, message):
+    own(STUDY.replace('js.build("pi-circle", timing)._replace(name="mine")', body))
+    with pytest.raises(ValueError, match=message) as refused:
+        js.build("mine")
+    assert "\n" not in str(refused.value)
+
+
+def test_an_own_study_that_leaves_ends_the_command_with_status_2(own, command):
+    own("exit(3)")
+    result = command("list")
+    assert result.status == 2 and result.out == ""
+    assert result.err.count("\n") == 1 and "own.py:1: SystemExit: 3" in result.err

@@ -13,6 +13,7 @@ from jaxstage.studies import all_studies
 from jaxstage.studies.precision import HEADLINE, LARGEST, compare_precision, stored_precision, worst
 from jaxstage.system.runtime import processor
 from tuning.app import main as cli
+from tuning.store.prepare import refuse_rough
 
 
 @pytest.mark.fast
@@ -59,12 +60,34 @@ def call(monkeypatch, *words):
     return end.value.code
 
 
+@pytest.mark.parametrize(("measured", "refused"), [(0.02, True), (0.005, False)])
+def test_the_guard_measures_at_the_timing_asked_for(monkeypatch, measured, refused):
+    """pi-circle is fine at its own timing, which is stored; at another one it is measured."""
+    asked = []
+
+    def compared(case):
+        asked.append(case.timing)
+        assert case.scenario.plant.mass.dtype == "float64"
+        return {"ate_um": measured, "energy_J": 0.0}
+
+    monkeypatch.setattr("jaxstage.studies.precision.compare_precision", compared)
+    refuse_rough("pi-circle", [])
+    assert asked == [], "what is stored is not measured again"
+    if refused:
+        with pytest.raises(ValueError, match=r"ate_um of pi-circle is off by 2\.0%"):
+            refuse_rough("pi-circle", ["lap_time=0.5"])
+    else:
+        refuse_rough("pi-circle", ["lap_time=0.5"])
+    assert [timing.lap_time for timing in asked] == [0.5]
+
+
 def test_a_rough_loop_is_refused_unless_forced(monkeypatch, capsys):
-    short = ("--set", "lap_time=0.05", "--set", "laps=1", "--precision", "single", "--json")
-    assert call(monkeypatch, "run", "cascade-heart", *short) == 2
+    single = ("--precision", "single", "--json")
+    assert call(monkeypatch, "run", "cascade-heart", *single) == 2
     refused = capsys.readouterr()
     assert refused.out == "" and "ate_um of cascade-heart is off by 3" in refused.err
-    assert call(monkeypatch, "run", "cascade-heart", *short, "--force") in (0, None)
+    short = (*single, "--set", "lap_time=0.05", "--set", "laps=1", "--force")
+    assert call(monkeypatch, "run", "cascade-heart", *short) in (0, None)
     assert json.loads(capsys.readouterr().out)["precision"] == "single"
 
 

@@ -88,6 +88,11 @@ def test_a_row_is_a_run_with_units_in_its_columns(whole):
     for key in (b"jax", b"jaxstage", b"seed", b"devices"):
         assert metadata[key]
     assert metadata[b"processor"].decode() == processor()
+    (case, *_) = build(text()).cases
+    window, dt = case.window, case.loop.dt
+    assert float(metadata[b"scored_laps"]) == window.scored_laps == 1.0
+    assert float(metadata[b"scored_from_s"]) == window.start * dt
+    assert float(metadata[b"scored_to_s"]) == window.stop * dt
 
 
 def test_a_row_is_what_a_single_run_gives(whole):

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as RichProgress
 
 from jaxstage.metrics.table import split_key
-from tuning.app.reports.sweep import answers
+from tuning.app.reports.sweep import answers, scored
 from tuning.app.result_table import Row, interval, number, plain_console, say, share
 from tuning.app.result_table import show as show_table
 from tuning.sweeps.sweep import SweepProgress
@@ -70,6 +70,7 @@ def show(summary: Row) -> None:
         f"{summary['precision']} precision; {summary['simulated']} runs simulated in "
         f"{summary['seconds']:.1f} s"
     )
+    say(f"scored: {scored(summary)}")
     if summary["specification"]:
         say(f"specification: {summary['specification']}")
     show_table(answers(summary))

@@ -12,6 +12,7 @@ from tuning.app.reports.tuning import (
     diagnostics,
     gains,
     metrics,
+    scored,
     trade_offs,
     verdict,
 )
@@ -73,6 +74,7 @@ def show(answer: Row) -> None:
     )
     for line in verdict(answer):
         say(line, "green" if answer["accepted"] else "red")
+    say(f"scored: {scored(answer)}")
     before, after = (number(answer[when]["objective"]) for when in ("before", "after"))
     say(f"objective {answer['objective']}: {before} before, {after} after")
     show_table(metrics(answer, ("contour ", "ate", "energy")))

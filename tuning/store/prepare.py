@@ -17,8 +17,9 @@ from jaxstage.model.fields import in_units_of, replace
 from jaxstage.model.signals import Run
 from jaxstage.model.validate import SHARED, check, check_leaves
 from jaxstage.simulate.rollout import advance, start
-from jaxstage.studies import Case, Timing, all_studies, find, with_metric
-from jaxstage.studies.precision import LARGEST, stored_precision, worst
+from jaxstage.studies import Case, Timing, find, with_metric
+from jaxstage.studies.case import retimed as retime
+from jaxstage.studies.precision import LARGEST, single_precision_error
 from jaxstage.studies.study import NamedLoop
 from jaxstage.system.files import write_text
 from tuning.store.gains_file import NO_GAINS, GainsFile
@@ -31,6 +32,10 @@ TIMING = dict.fromkeys(("lap_time", "dt", "skip"), "s") | {"feed": "mm/min"}
 TIMING |= dict.fromkeys(("laps", "scored", "substeps"), "")
 
 
+#: settings that name the part of a run that is scored
+SCORING = ("skip", "scored")
+
+
 class Prepared(NamedTuple):
     """A case with all settings applied, the loop it comes from, and what the user should know.
 
@@ -40,20 +45,6 @@ class Prepared(NamedTuple):
     entry: NamedLoop
     notes: tuple[str, ...]
     refused: tuple[str, ...] = ()
-
-
-def refuse_rough(name: str) -> None:
-    """Raise ValueError for a loop whose metrics are off by over 1 % in single precision."""
-    find(name)
-    for study in all_studies:
-        table = stored_precision(study.name)
-        if name in table:
-            metric, difference = worst(table[name])
-            if difference > LARGEST:
-                raise ValueError(
-                    f"--precision single: {metric} of {name} is off by {difference:.1%} "
-                    f"(limit {LARGEST:.0%}, `jaxstage precision` measures it); --force runs it"
-                )
 
 
 def prepare(
@@ -78,7 +69,8 @@ def prepare(
     entry = find(loop)
     settled = dict(_word(word) for word in words)
     timing = _timing(entry.timing, {k: v for k, v in settled.items() if k in TIMING})
-    case = published = scenario.with_blocks(entry.build(retimed(timing)))
+    built = _built(entry, timing, retimed(timing), not settled.keys().isdisjoint(SCORING))
+    case = published = scenario.with_blocks(built)
     gains.refuse_other_law(case)
     if scenario.seed is not None:
         key = jax.random.key(scenario.seed)
@@ -93,6 +85,25 @@ def prepare(
     _check_motion(case, by_words)
     notes = gains.notes() + _notes(published, case, tuple(places))
     return Prepared(case, entry, notes, gains.refused)
+
+
+def refuse_rough(
+    loop: str,
+    words: Sequence[str],
+    gains: GainsFile = NO_GAINS,
+    scenario: ScenarioFile = NO_SCENARIO,
+    retimed: Callable[[Timing], Timing] = lambda timing: timing,
+) -> None:
+    """Raise ValueError where metrics are off by over 1 % in single precision, at the timing asked
+    for. Arguments are those of `prepare`."""
+    with jax.enable_x64(True):
+        prepared = prepare(loop, words, gains, scenario, retimed)
+        metric, difference = single_precision_error(prepared.case, prepared.entry)
+    if difference > LARGEST:
+        raise ValueError(
+            f"--precision single: {metric} of {loop} is off by {difference:.1%} "
+            f"(limit {LARGEST:.0%}, `jaxstage precision` measures it); --force runs it"
+        )
 
 
 def execute(prepared: Prepared, out: Path | None = None) -> dict[str, Any]:
@@ -187,14 +198,11 @@ def _unit(case: Case, name: str) -> str:
 
 
 def _timing(own: Timing, words: Mapping[str, str]) -> Timing:
-    """The loop's own timing with changes; naming the scored lap drops its ``skip``, naming the
-    laps its ``duration``."""
-    values: dict[str, Any] = {"skip": None} if "scored" in words else {}
-    values |= {"duration": None} if "laps" in words else {}
+    """The loop's own timing with the changes of words."""
+    values: dict[str, Any] = {}
     for one, other in (("lap_time", "feed"), ("scored", "skip")):
         if one in words and other in words:
             raise ValueError(f"--set {one} and --set {other}: give one of them")
-    values |= {"feed": None} if "lap_time" in words else {}
     for name, text in words.items():
         number, *more = _numbers(name, text, TIMING[name])
         if more:
@@ -204,7 +212,21 @@ def _timing(own: Timing, words: Mapping[str, str]) -> Timing:
                 raise ValueError(f"--set {name}={text}: must be a whole number")
             number = int(number)
         values[name] = number
-    return replace(own, **values)
+    return retime(own, **values)
+
+
+def _built(entry: NamedLoop, timing: Timing, changed: Timing, named: bool) -> Case:
+    """The case. named: what is scored was asked for by name. changed: ``timing``, or what the
+    caller of `prepare` makes of it, which names what is scored."""
+    own = entry.timing
+    if named or changed != timing:
+        return entry.build(changed)
+    if timing.feed is not None and own.skip is not None:
+        lap = entry.build(replace(timing, skip=None)).window.lap
+        timing = replace(timing, skip=own.skip * lap * timing.dt / own.lap_time)
+    case = entry.build(timing)
+    case.window.refuse_part_of_a_lap(own)
+    return case
 
 
 def _from_file(

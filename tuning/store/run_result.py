@@ -13,7 +13,7 @@ from jaxstage.metrics.table import key as column
 from jaxstage.model.settings import MOTION, SCENARIO_PARTS, known_leaves, to_toml
 from jaxstage.model.signals import Run
 from jaxstage.studies import Case
-from jaxstage.studies.verdict import lost_because, verdict
+from jaxstage.studies.verdict import lost_because, scored_columns, verdict
 from jaxstage.system.files import write_text
 from tuning.store import gains_file
 
@@ -44,6 +44,7 @@ def summary(case: Case, run: Run, notes: tuple[str, ...] = ()) -> dict[str, Any]
         "lap_time_s": case.window.lap * case.loop.dt,
         "laps": case.window.laps,
         "scored": case.window.scored,
+        **scored_columns(case),
         "motion": _sizes(case),
         "verdict": verdict(case, scored, lost, lost_because(case, left)),
         "finite": left is None and broken is None,

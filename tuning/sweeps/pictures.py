@@ -10,6 +10,7 @@ from jaxstage.metrics.table import split_key
 from jaxstage.plot import save, sensitivity, sweep
 from tuning.store.work_folder import digest
 from tuning.sweeps.analysis import Analysis, LoopResult
+from tuning.sweeps.summary import scored_words
 from tuning.uncertainty.statistics import PairedComparison
 
 
@@ -74,6 +75,7 @@ def _sheet(analysis: Analysis) -> sweep.Sheet:
             f"{table['runs']} plants, {table['design']}",
             f"seed {table['seed']}",
             f"{table['precision']} precision",
+            f"scored: {scored_words(analysis)}",
             f"specification: {spec.text}" if spec else "no specification",
             f"configuration {digest(analysis.plan.text)}",
             f"jaxstage {__version__}, jax {jax.__version__}",

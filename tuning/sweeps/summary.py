@@ -4,6 +4,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+from jaxstage.studies import Case
+from jaxstage.studies.verdict import scored_columns, scored_text
 from tuning.store.work_folder import digest
 from tuning.sweeps.analysis import WORST, Analysis, LoopResult, worst_runs
 from tuning.sweeps.sensitivity import Indices
@@ -23,7 +25,7 @@ def as_object(analysis: Analysis, folder: Path) -> dict[str, Any]:
         "runs": table["runs"],
         "metric": analysis.metric,
         "specification": analysis.spec.text if analysis.spec else None,
-        "loops": [_loop_object(loop) for loop in analysis.loops],
+        "loops": [*map(_loop_object, analysis.loops, analysis.plan.cases)],
         "comparisons": [
             {
                 "first": c.first,
@@ -40,12 +42,21 @@ def as_object(analysis: Analysis, folder: Path) -> dict[str, Any]:
     }
 
 
-def _loop_object(loop: LoopResult) -> dict[str, Any]:
+def scored_words(found: Analysis) -> str:
+    """What of every run is scored; said of each loop where they differ."""
+    told = {case.name: scored_text(case) for case in found.plan.cases}
+    if len(set(told.values())) == 1:
+        return next(iter(told.values()))
+    return "; ".join(f"{name} {text}" for name, text in told.items())
+
+
+def _loop_object(loop: LoopResult, case: Case) -> dict[str, Any]:
     stated = loop.statistics
     names = ("mean", "p50", "p95", "cvar95")
     return {
         "loop": loop.name,
         "runs": len(loop.sampled),
+        **scored_columns(case),
         "lost": loop.lost,
         "passed": None if loop.passed is None else int(loop.passed.sum()),
         "yield": _share(loop.met),

@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from jaxstage.simulate.batch import rollouts
+from jaxstage.studies.verdict import scored_columns
 from jaxstage.system.runtime import configure, cpu_cores, processor
 from tuning.store.work_folder import digest
 from tuning.sweeps import store
@@ -109,10 +110,10 @@ def _table(
     for key, column in columns.items():
         missing = column < 0 if key.endswith("_at") else ~np.isfinite(column)
         arrays[key] = pa.array(column, mask=missing)
-    return pa.table(arrays).replace_schema_metadata(_metadata(plan))
+    return pa.table(arrays).replace_schema_metadata(_metadata(plan, loop))
 
 
-def _metadata(plan: SweepPlan) -> dict[str, str]:
+def _metadata(plan: SweepPlan, loop: int) -> dict[str, str]:
     """What computed these rows. ``devices`` may change the last digits, see `rollouts`."""
     return {
         "configuration": plan.text,
@@ -126,6 +127,7 @@ def _metadata(plan: SweepPlan) -> dict[str, str]:
         "processor": processor(),
         "devices": str(min(jax.local_device_count(), plan.size)),
         "seed": str(plan.table["seed"]),
+        **{key: repr(value) for key, value in scored_columns(plan.cases[loop]).items()},
     }
 
 

@@ -54,6 +54,7 @@ def as_object(outcome: TuningResult, extras: Extras) -> dict[str, Any]:
         "seconds": rounded(outcome.seconds),
         "ended": tuned.ended,
         "objective": outcome.plan.table["objective"],
+        "scored": outcome.scored,
         "accepted": not outcome.refused,
         "refused": [one.reason for one in outcome.refused],
         "try_next": list(dict.fromkeys(one.advice for one in outcome.refused)),

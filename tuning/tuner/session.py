@@ -4,7 +4,7 @@ Training sees only the training runs. What accepts or refuses comes after, on th
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from jaxstage.studies.verdict import scored_columns
 from tuning.store.gains_file import refused_text
 from tuning.tuner.configuration import (
     TuningPlan,
@@ -116,6 +117,7 @@ class TuningResult(NamedTuple):
         pairs: the held-out runs.
         diagnostics: of the search and its result.
         refused: why the gains are not accepted.
+        scored: what of the runs is scored: of the loop itself, in training, held out.
     """
 
     plan: TuningPlan
@@ -128,6 +130,7 @@ class TuningResult(NamedTuple):
     pairs: PairedRuns
     diagnostics: Diagnostics
     refused: tuple[Refusal, ...]
+    scored: Mapping[str, list[dict[str, float]]]
 
     @property
     def tuned(self) -> SearchResult:
@@ -166,7 +169,8 @@ def run_tuning(
     chosen = _select(plan, exact, tuned)
     watch.stage("testing on held-out plants")
     metric = held_out_metric(plan)
-    pairs = simulate_pairs(runs_of(plan, "held_out"), plan.space.gains, chosen.gains, metric)
+    held_out = runs_of(plan, "held_out")
+    pairs = simulate_pairs(held_out, plan.space.gains, chosen.gains, metric)
     verdict = held_out_verdict(pairs)
     watch.stage("diagnostics")
     diagnostics = diagnose(problem, tuned, chosen.z, plan.case)
@@ -184,7 +188,18 @@ def run_tuning(
         pairs=pairs,
         diagnostics=diagnostics,
         refused=refusals(chosen.validation, verdict),
+        scored={
+            "loop": [scored_columns(plan.case)],
+            "training": _scored(train),
+            "held_out": _scored(held_out),
+        },
     )
+
+
+def _scored(every: list[RunSet]) -> list[dict[str, float]]:
+    """What of the runs is scored, each part once."""
+    parts = [scored_columns(runs.case) for runs in every]
+    return [part for k, part in enumerate(parts) if part not in parts[:k]]
 
 
 def _trained_on(plan: TuningPlan, every: list[RunSet]) -> list[RunGroup]:

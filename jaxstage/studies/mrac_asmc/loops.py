@@ -198,6 +198,8 @@ def make_loop(controller: Controller, version: Version, metric: Metric, timing: 
 def build(law: StudyLaw, version: Version, timing: Timing) -> Case:
     """One law of the study on one version of the drive."""
     check_timing(timing)
+    if timing.feed is not None:
+        raise ValueError(f"feed = {timing.feed:g} mm/min: a motion to and fro has none; lap_time")
     ticks = window(timing, round(timing.lap_time / timing.dt))
     extra = (drive_following, quadrant_glitch(values.REVERSAL, drive))
     extra += (adapted(law.adapting),) if law.adapting else ()

@@ -50,15 +50,16 @@ def run(options: RunOptions) -> None:
 
     duration = options.duration
     configure(precision=options.precision, cache="default")
-    if options.precision == "single" and not options.force:
-        refuse_rough(options.loop)
-    prepared = prepare(
+    asked = (
         options.loop,
         options.words,
         read_gains(options.gains),
         read_scenario(options.scenario),
         lambda timing: timing if duration is None else replace(timing, duration=duration),
     )
+    if options.precision == "single" and not options.force:
+        refuse_rough(*asked)
+    prepared = prepare(*asked)
     if options.out is not None:
         check_folder(options.out)
     with locked(options.out, "running"):

@@ -125,7 +125,7 @@ def _start_jax(options: SweepOptions, stored: str | None) -> None:
     configure(precision=precision, cores=options.cores or cpu_cores(), cache="default")
     if precision == "single" and not options.force and stored is None:
         for loop in options.loops:
-            refuse_rough(loop)
+            refuse_rough(loop, options.words)
 
 
 def _configure(options: SweepOptions) -> str:

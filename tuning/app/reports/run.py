@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxstage.studies.verdict import span_text
 from tuning.app.reports.page import Page, pictures, read_json
 from tuning.app.result_table import DASH, ResultTable, decimal, metric_table
 
@@ -35,7 +36,7 @@ def read(folder: Path) -> Page:
         for name in ("gains.toml", "scenario.toml", "rules.txt")
         if (folder / name).is_file()
     }
-    scored = f"lap {result['scored']}" if result["scored"] else "the scored part of the run"
+    lap = f"lap {result['scored']} of {result['laps']:.4g}" if result["scored"] else ""
     return Page(
         title=result["loop"],
         subtitle="One run: the machine, the law and the path that the settings below name.",
@@ -44,7 +45,7 @@ def read(folder: Path) -> Page:
         facts={
             "length": f"{result['duration_s']:g} s, {result['laps']:.4g} laps of "
             f"{result['lap_time_s']:.4g} s",
-            "figures of": scored,
+            "metrics of": span_text(result, lap),
         },
         notes=tuple(result["notes"]),
         tables=(),

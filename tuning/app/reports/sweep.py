@@ -7,6 +7,7 @@ from typing import Any
 
 from jaxstage.metrics.table import split_key
 from jaxstage.model.settings import plain_toml
+from jaxstage.studies.verdict import span_text
 from tuning.app.reports.page import Page, pictures, read_json
 from tuning.app.result_table import (
     DASH,
@@ -40,6 +41,7 @@ def read(folder: Path) -> Page:
         facts={
             "specification": summary["specification"] or "none",
             "judged by": heading(summary["metric"]),
+            "scored": scored(summary),
         },
         notes=tuple(summary["notes"]),
         tables=(answers(summary), *_comparisons(summary, split_key(summary["metric"])[1])),
@@ -54,6 +56,14 @@ def read(folder: Path) -> Page:
             "versions": f"jaxstage {summary['version']}, jax {table['jax']}",
         },
     )
+
+
+def scored(summary: Row) -> str:
+    """What of every run is scored; said of each loop where they differ."""
+    told = {loop["loop"]: span_text(loop) for loop in summary["loops"]}
+    if len(set(told.values())) == 1:
+        return next(iter(told.values()))
+    return "; ".join(f"{name} {text}" for name, text in told.items())
 
 
 def _good(summary: Row) -> bool | None:

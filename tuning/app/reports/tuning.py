@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from jaxstage.metrics.table import split_key
+from jaxstage.studies.verdict import span_text
 from tuning.app.reports.page import Page, pictures, read_json
 from tuning.app.result_table import (
     DASH,
@@ -50,6 +51,7 @@ def read(folder: Path) -> Page:
             "goals": ", ".join(table["goal"]) or "none",
             "held out": f"{answer['held_out']['runs']} runs, judged by "
             f"{split_key(answer['held_out']['figure'])[0]}",
+            "scored": scored(answer),
         },
         notes=tuple(answer["diagnostics"]["notes"]),
         tables=(gains(answer), metrics(answer)),
@@ -105,6 +107,14 @@ def gains(answer: Row) -> ResultTable:
             for label, gain in answer["gains"].items()
         ],
         title="Gains",
+    )
+
+
+def scored(answer: Row) -> str:
+    """What of the runs is scored: of the loop, in training, held out."""
+    return "; ".join(
+        f"{name.replace('_', ' ')} {', '.join(map(span_text, parts))}"
+        for name, parts in answer.get("scored", {}).items()
     )
 
 
