@@ -7,9 +7,9 @@ def length_unit(largest: float) -> tuple[float, str]:
 
 
 def length_text(length: float) -> str:
-    """A length in m with three digits and its unit."""
-    factor, unit = length_unit(abs(length))
-    return f"{length * factor:.3g} {unit}"
+    """A length in m with three digits and its unit, e.g. ``16.1 µm``, ``1.2 mm``, ``1200 mm``."""
+    factor, unit = (1e6, "µm") if float(f"{abs(length) * 1e6:.3g}") < 1e3 else (1e3, "mm")
+    return f"{float(f'{length * factor:.3g}'):.15g} {unit}"
 
 
 def time_text(time: float) -> str:

@@ -6,6 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxstage import __version__
+from jaxstage.plot.numbers import plain
 from jaxstage.plot.style import LARGE, LOST, NORMAL, SMALL, dress
 from jaxstage.studies.claim import FAILS, HOLDS, UNCHECKED, Judgement, count
 
@@ -40,7 +41,7 @@ def claims(title: str, judged: tuple[Judgement, ...]) -> Figure:
         0.012,
         1 - 0.55 / height,
         f"{numbers[HOLDS]} claims hold, {numbers[FAILS]} fail, {numbers[UNCHECKED]} cannot be "
-        "checked by simulation (not drawn). Dots: our figure over the published one, 1 is equal; "
+        "checked by simulation (not drawn). Dots: our number over the published one, 1 is equal; "
         "no dot where only words are printed.",
         va="top",
         fontsize=NORMAL,
@@ -97,4 +98,4 @@ def _row(ax: Axes, row: int, judgement: Judgement) -> None:
 
 def number(value: float | None) -> str:
     """A figure with four digits, a dash for none."""
-    return "–" if value is None else f"{value:.4g}"
+    return "–" if value is None else plain(value)

@@ -5,6 +5,17 @@ import math
 import numpy as np
 
 
+def plain(value: float) -> str:
+    """Four significant digits, as people write them: 80,000 and not 8e+04.
+
+    Powers of ten only from ten millions on and below a ten-thousandth.
+    """
+    rounded = float(f"{value:.4g}")
+    if rounded and not 1e-4 <= abs(rounded) < 1e7:
+        return f"{value:.4g}"
+    return f"{rounded:,.10g}"
+
+
 def round_down(value: float) -> float:
     """The largest 1, 2 or 5 times a power of ten that is not above ``value`` > 0."""
     power = 10.0 ** math.floor(math.log10(value))

@@ -8,7 +8,7 @@ REFERENCE = "#222222"
 QUIET = "#555555"
 SMALL, NORMAL, LARGE = 11, 13, 18
 #: characters in an inch of a title, of a text and of a footer, at most
-TITLE, TEXT, FOOTER = 6.6, 10.3, 11.5
+TITLE, TEXT, FOOTER = 6.2, 10.0, 11.5
 #: inches that a line of each takes
 TITLE_LINE, TEXT_LINE, FOOTER_LINE = 0.32, 0.24, 0.18
 
@@ -32,9 +32,9 @@ def page(
         above: Inches that stay free above the panels, for a legend.
     """
     width, height = size
-    titles = textwrap.wrap(title, int(TITLE * width)) or [""]
-    lines = textwrap.wrap(text, int(TEXT * width))
-    settings = _footer(footer, int(FOOTER * width))
+    titles = textwrap.wrap(title, int(TITLE * (width - 0.4))) or [""]
+    lines = textwrap.wrap(text, int(TEXT * (width - 0.4)))
+    settings = _footer(footer, int(FOOTER * (width - 0.4)))
     height += TITLE_LINE * (len(titles) - 1) + TEXT_LINE * max(len(lines) - 1, 0)
     height += FOOTER_LINE * (len(settings) - 1)
     drawn = Figure(figsize=(width, height), dpi=100, layout="constrained", facecolor="white")
@@ -52,7 +52,7 @@ def page(
         (lines, 1 - below_title / height, "top", {"fontsize": NORMAL, "color": colour}),
         (settings, 0.12 / height, "bottom", {"fontsize": SMALL, "color": QUIET}),
     ):
-        drawn.text(left, y, "\n".join(words), va=va, **style)
+        drawn.text(left, y, "\n".join(words), va=va, parse_math=False, **style)
     return drawn
 
 

@@ -44,7 +44,7 @@ def pictures(
     A picture of an earlier run that does not apply to this one is removed.
     """
     shown = view(case, report, rows, lost_because(case, result["left_path_at"]))
-    shown = shown._replace(verdict=result["verdict"])
+    shown = shown._replace(verdict=result.get("verdict", shown.verdict))
     files = []
     for name, draw in VIEWS.items():
         file = folder / f"{name}.png"

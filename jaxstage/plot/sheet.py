@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from jaxstage.plot.page import page
 
 #: a metric that spans more than this ratio is drawn on a log axis
-WIDE = 20.0
+WIDE = 8.0
 
 
 class Sheet(NamedTuple):

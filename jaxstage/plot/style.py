@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import LogFormatter, ScalarFormatter
 
 from jaxstage.metrics.glitch import direction
-from jaxstage.plot.numbers import envelope
+from jaxstage.plot.numbers import envelope, plain
 from jaxstage.plot.page import LARGE as LARGE
 from jaxstage.plot.page import NORMAL as NORMAL
 from jaxstage.plot.page import REFERENCE as REFERENCE
@@ -39,15 +39,27 @@ def figure(view: View, title: str, size: tuple[float, float], above: float = 0.0
     return page(f"{view.name}: {title}", view.verdict, view.footer, size, colour, above)
 
 
+class PlainLogFormatter(LogFormatter):
+    """Ticks of a logarithmic axis as plain numbers, the same ticks as without."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """The label of a tick; empty where there is no room for one."""
+        return plain(x) if super().__call__(x, pos) else ""
+
+
 def dress(ax: Axes, x: str, y: str) -> None:
     """Labels, grid and text sizes of a panel."""
-    ax.set_xlabel(x, fontsize=NORMAL)
-    ax.set_ylabel(y, fontsize=NORMAL)
+    ax.set_xlabel(x, fontsize=NORMAL, parse_math=False)
+    ax.set_ylabel(y, fontsize=NORMAL, parse_math=False)
     ax.tick_params(labelsize=SMALL)
     for side in (ax.xaxis, ax.yaxis):
         ticks = side.get_major_formatter()
-        if isinstance(ticks, ScalarFormatter):
+        if isinstance(ticks, LogFormatter):
+            side.set_major_formatter(PlainLogFormatter())
+            side.set_minor_formatter(PlainLogFormatter())
+        elif isinstance(ticks, ScalarFormatter):
             ticks.set_useOffset(False)
+            ticks.set_powerlimits((-4, 6))
     ax.grid(True, color="#DDDDDD", linewidth=0.8)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)

@@ -12,10 +12,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 
+from jaxstage.plot.numbers import plain
 from jaxstage.plot.sheet import Sheet, log_where_wide, sheet_page
 from jaxstage.plot.style import AXIS_COLOURS, LOST, NORMAL, REFERENCE, SMALL, dress
 
+#: share of the values that a scatter shows at least, where the others reach beyond so many times
+#: their span
+MOST_SHOWN, FAR = 0.98, 3.0
 #: points of a scatter that are drawn, of those that pass
 POINTS = 3000
 #: dots of fewer plants are larger
@@ -44,7 +49,7 @@ def distribution(samples: Sequence[MetricSample], sheet: Sheet) -> Figure:
     text = (
         "Left: how often each value occurs. Right: share of all plants with at most this value, "
         "with its 95 % band (Dvoretzky-Kiefer-Wolfowitz); a curve that ends below 1 has lost runs. "
-        "Bar on the limit: share that meets the whole specification, 95 % interval."
+        "Bar at the limit: share that meets the whole specification, 95 % interval."
         if all(sample.chance for sample in samples)
         else "Left: how often each value occurs. Right: share of the plants that were run with at "
         "most this value; a curve that ends below 1 has lost runs. These plants are no sample of "
@@ -60,24 +65,13 @@ def distribution(samples: Sequence[MetricSample], sheet: Sheet) -> Figure:
         return drawn
     logarithmic = log_where_wide((often.set_xscale, share.set_xscale), *every)
     bins = _bins([s.values[np.isfinite(s.values)] for s in samples], logarithmic)
-    for sample, colour in zip(samples, cycle(AXIS_COLOURS)):
+    for index, (sample, colour) in enumerate(zip(samples, cycle(AXIS_COLOURS))):
         kept = sample.values[np.isfinite(sample.values)]
         often.hist(kept, bins.tolist(), color=colour, histtype="stepfilled", alpha=0.25)
         often.hist(kept, bins.tolist(), color=colour, histtype="step", linewidth=1.5)
         _cumulative(share, sample, kept, colour)
         if sheet.limit is not None and sample.met is not None:
-            value, least, most = sample.met
-            share.errorbar(
-                sheet.limit,
-                value,
-                [[value - least], [most - value]],
-                color=colour,
-                marker="o",
-                markersize=6,
-                capsize=5,
-                elinewidth=2,
-                zorder=5,
-            )
+            _yield_mark(share, sheet.limit, sample.met, colour, index - (len(samples) - 1) / 2)
     often.yaxis.set_major_locator(MaxNLocator(integer=True))
     for ax, side in ((often, "plants"), (share, "share of plants")):
         dress(ax, sheet.label, side)
@@ -87,7 +81,7 @@ def distribution(samples: Sequence[MetricSample], sheet: Sheet) -> Figure:
         often.text(
             sheet.limit,
             1.0,
-            f"limit {sheet.limit:g}",
+            f"limit {plain(sheet.limit)}",
             transform=often.get_xaxis_transform(),
             ha="center",
             va="bottom",
@@ -97,6 +91,26 @@ def distribution(samples: Sequence[MetricSample], sheet: Sheet) -> Figure:
     share.set_ylim(0, 1.02)
     share.legend(loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=SMALL, frameon=False)
     return drawn
+
+
+def _yield_mark(
+    ax: Axes, limit: float, met: tuple[float, float, float], colour: str, place: float
+) -> None:
+    """The yield with its interval. place: marks beside the limit, so that none is hidden."""
+    value, least, most = met
+    beside = ax.transData + ScaledTranslation(place * 0.14, 0, ax.figure.dpi_scale_trans)
+    ax.errorbar(
+        limit,
+        value,
+        [[value - least], [most - value]],
+        color=colour,
+        marker="o",
+        markersize=6,
+        capsize=4,
+        elinewidth=2,
+        zorder=5,
+        transform=beside,
+    )
 
 
 def _bins(samples: Sequence[np.ndarray], logarithmic: bool) -> np.ndarray:
@@ -152,9 +166,9 @@ def parameters(
     rows = -(-len(order) // across)
     text = _legend(sample)
     if sheet.limit is not None and not _beside(sheet.limit, sample.values):
-        text += f" The limit of {sheet.limit:g} is off the scale."
+        text += f" The limit of {plain(sheet.limit)} is off the scale."
     title = f"{sample.name}: {sheet.label} against each uncertain value"
-    drawn = sheet_page(title, text, sheet.footer, 4.4 * across + 0.4, 3.5 * rows + 1.6)
+    drawn = sheet_page(title, text, sheet.footer, max(4.4 * across + 0.4, 7.0), 3.5 * rows + 1.6)
     panels = drawn.subplots(rows, across, squeeze=False, sharey=True)
     finite = sample.values[np.isfinite(sample.values)]
     seen = sheet.limit is None or _beside(sheet.limit, finite)
@@ -256,7 +270,7 @@ def versus(a: MetricSample, b: MetricSample, text: str, sheet: Sheet) -> Figure:
     drawn = sheet_page(f"{a.name} against {b.name}", text, sheet.footer, 9.5, 9.5)
     ax = drawn.subplots()
     both = np.isfinite(a.values) & np.isfinite(b.values)
-    log_where_wide((ax.set_xscale, ax.set_yscale), np.concatenate([a.values, b.values]))
+    logarithmic = log_where_wide((ax.set_xscale, ax.set_yscale), a.values, b.values)
     x, y = a.values[both], b.values[both]
     step = max(1, len(x) // (2 * POINTS))
     for part, colour, label in (
@@ -278,15 +292,38 @@ def versus(a: MetricSample, b: MetricSample, text: str, sheet: Sheet) -> Figure:
             rasterized=True,
         )
     if both.any():
-        ends = [min(x.min(), y.min()), max(x.max(), y.max())]
+        ends = _one_scale(ax, np.concatenate([x, y]), logarithmic)
         ax.plot(ends, ends, color=REFERENCE, linewidth=1.2, label="equal")
-        ax.set_aspect("equal", adjustable="datalim")
+        beyond = int((np.maximum(x, y) > ends[1]).sum())
+        if beyond:
+            ax.plot([], [], linestyle="", label=f"beyond the scale: {beyond} plants")
     gone = int((~both).sum())
     if gone:
         ax.plot([], [], linestyle="", label=f"lost under one or both: {gone} plants")
-    if sheet.limit is not None:
+    if sheet.limit is not None and ax.get_xlim()[0] <= sheet.limit <= ax.get_xlim()[1]:
         ax.axvline(sheet.limit, color=LOST, linestyle="--", linewidth=1.2)
         ax.axhline(sheet.limit, color=LOST, linestyle="--", linewidth=1.2, label="limit")
+    elif sheet.limit is not None:
+        ax.plot([], [], linestyle="", label=f"limit {plain(sheet.limit)}: off the scale")
     dress(ax, f"{a.name}: {sheet.label}", f"{b.name}: {sheet.label}")
     ax.legend(loc="best", fontsize=SMALL, frameon=True, framealpha=0.9)
     return drawn
+
+
+def _one_scale(ax: Axes, values: np.ndarray, logarithmic: bool) -> list[float]:
+    """Both axes over the same values, in a square; returns the ends of the diagonal.
+
+    A few values far above all others are cut off: they would squeeze these into a corner.
+    """
+    low, high = float(values.min()), float(values.max())
+    most = float(np.quantile(values, MOST_SHOWN))
+    high = most if not logarithmic and high - low > FAR * (most - low) > 0 else high
+    if logarithmic:
+        low, high = low / 1.1, high * 1.1
+    else:
+        margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
+        low, high = low - margin, high + margin
+    ax.set_xlim(low, high)
+    ax.set_ylim(low, high)
+    ax.set_box_aspect(1)
+    return [low, high]

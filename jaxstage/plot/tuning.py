@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxstage.metrics.words import length_text, length_unit
+from jaxstage.plot.numbers import plain
 from jaxstage.plot.sheet import sheet_page
 from jaxstage.plot.style import (
     AXIS_COLOURS,
@@ -36,13 +37,20 @@ MOST_GAINS = 60
 
 
 class Trace(NamedTuple):
-    """Progress of one method. units: spent, (k,). best: objective so far, (k,). gradient: its norm
-    there, (k,), NaN where unknown."""
+    """Progress of one method.
+
+    Attributes:
+        units: Spent, (k,).
+        best: Objective of the best gains so far, (k,): of those that miss the goals least.
+        gradient: Its norm there, (k,), NaN where unknown.
+        violation: Largest miss of a goal there, (k,); above 0 a goal is missed, NaN where unknown.
+    """
 
     name: str
     units: np.ndarray
     best: np.ndarray
     gradient: np.ndarray
+    violation: np.ndarray
 
 
 class Moved(NamedTuple):
@@ -64,6 +72,11 @@ def history(traces: Sequence[Trace], footer: str) -> Figure:
         "Left is the beginning: 1 are the gains before. One unit is one simulation of the whole "
         "training set; gradients and Jacobians cost what was measured here. Lower is better."
     )
+    if any((trace.violation > 0).any() for trace in traces):
+        text += (
+            " Crosses miss a goal: meeting the goals comes first, so the line may rise until all "
+            "are met."
+        )
     slopes = [trace for trace in traces if np.isfinite(trace.gradient).any()]
     drawn = sheet_page("objective against cost", text, footer, 12, 8.5 if slopes else 6.5)
     panels = drawn.subplots(
@@ -80,6 +93,10 @@ def history(traces: Sequence[Trace], footer: str) -> Figure:
             label=f"{trace.name}: {trace.best[-1]:.4g} after {trace.units[-1]:.0f} units",
         )
         best.plot(trace.units[-1:], trace.best[-1:], "o", color=colour, markersize=5)
+        missed = trace.violation > 0
+        best.plot(
+            trace.units[missed], trace.best[missed], "X", color=LOST, markersize=8, linestyle=""
+        )
         if slopes and np.isfinite(trace.gradient).any():
             panels[1].plot(trace.units, trace.gradient, ".-", color=colour, linewidth=1.4)
     if min(trace.best.min() for trace in traces) < WIDE * max(t.best[0] for t in traces):
@@ -129,7 +146,7 @@ def _range(ax: Axes, row: int, one: Moved) -> None:
     ax.plot([before, after], [row, row], color=colour, linewidth=1.6, zorder=2)
     ax.plot(before, row, "o", color="white", markeredgecolor=OTHER, markersize=8, zorder=3)
     ax.plot(after, row, "o", color=colour, markersize=7, zorder=4)
-    told = f"{one.before:.4g} → {one.after:.4g}   in {one.low:.3g} … {one.high:.3g}"
+    told = f"{plain(one.before)} → {plain(one.after)}   in {plain(one.low)} … {plain(one.high)}"
     ax.text(1.02, row, told, fontsize=SMALL, va="center", transform=ax.get_yaxis_transform())
 
 

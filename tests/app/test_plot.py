@@ -228,4 +228,6 @@ def test_numbers_in_words():
     assert [round_down(v) for v in (1.0, 1.99, 2.0, 4.9, 99.0, 0.3)] == [1, 1, 2, 2, 50, 0.2]
     assert round_down(0.2 / 0.1) == 2 and round_down(0.6 / 0.3) == 2
     assert length_text(16.14e-6) == "16.1 µm" and length_text(0.0124) == "12.4 mm"
+    assert length_text(1e-3) == "1 mm" and length_text(9.996e-4) == "1 mm"
+    assert length_text(1.234) == "1230 mm" and length_text(999e-6) == "999 µm"
     assert time_text(1e-4) == "100 µs" and time_text(0.043) == "43 ms" and time_text(5.0) == "5 s"

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from jaxstage.plot import sensitivity, sweep
+from jaxstage.plot.numbers import plain
 
 SHEET = sweep.Sheet("contour max (µm)", 20.0, "64 plants | seed 0")
 SOURCE = np.random.default_rng(0)
@@ -165,3 +167,47 @@ def test_one_controller_against_another():
         "Each dot is one plant.",
     ):
         assert text in told, text
+
+
+def test_both_axes_have_one_scale_and_few_far_values_are_cut():
+    near = np.linspace(10.0, 20.0, 200)
+    far = np.append(near[:-2], [80.0, 75.0])
+    a, b = (sweep.MetricSample(name, values, None) for name, values in (("a", near), ("b", far)))
+    (ax,) = sweep.versus(a, b, "", SHEET._replace(limit=15.0)).axes
+    assert ax.get_xlim() == ax.get_ylim() and ax.get_xlim()[1] < 25
+    assert "beyond the scale: 2 plants" in words(ax.figure)
+    (whole,) = sweep.versus(a, a, "", SHEET._replace(limit=50.0)).axes
+    assert "beyond" not in words(whole.figure)
+    assert "limit 50: off the scale" in words(whole.figure)
+
+
+def test_yield_marks_stand_beside_each_other():
+    twin = ONE._replace(name="twin")
+    share = sweep.distribution([ONE, twin], SHEET).axes[1]
+    marks = [bar.lines[0] for bar in share.containers]
+    places = [mark.get_transform().transform(mark.get_xydata()[0])[0] for mark in marks]
+    assert places[1] - places[0] > 10, "pixels"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(80000.0, "80,000"), (1234.5678, "1,235"), (0.00123456, "0.001235"), (0.0, "0"),
+     (-30.0, "-30"), (2.5e6, "2,500,000"), (2.5e7, "2.5e+07"),
+     (3.2e-5, "3.2e-05"),
+     (99999.9, "100,000")],
+)  # fmt: skip
+def test_numbers_are_written_as_people_write_them(value, text):
+    assert plain(value) == text
+
+
+def test_a_long_title_is_wrapped_and_a_dollar_is_a_dollar():
+    name = "a-loop-with-quite-a-long-name-of-its-own"
+    columns = {"plant.mass x (kg)": SOURCE.random(400)}
+    drawn = sweep.parameters(
+        ONE._replace(name=name), columns, {}, SHEET._replace(footer="1 $ _a $")
+    )
+    renderer = FigureCanvasAgg(drawn).get_renderer()
+    for text in drawn.texts:
+        box = text.get_window_extent(renderer)
+        assert box.x0 >= 0 and box.x1 <= drawn.bbox.x1, text.get_text()
+    assert "$" in words(drawn)

@@ -17,11 +17,17 @@ def words(figure):
     return " ".join(" ".join(texts).split())
 
 
+NONE = np.full(2, np.nan)
 TRACES = (
-    tuning.Trace("lm", np.array([0.0, 20.0, 45.0]), np.array([1.0, 0.2, 0.05]),
-                 np.array([np.nan, 0.3, 0.01])),
-    tuning.Trace("cma", np.array([0.0, 50.0]), np.array([1.0, 0.4]), np.full(2, np.nan)),
-)  # fmt: skip
+    tuning.Trace(
+        name="lm",
+        units=np.array([0.0, 20.0, 45.0]),
+        best=np.array([1.0, 0.2, 0.05]),
+        gradient=np.array([np.nan, 0.3, 0.01]),
+        violation=np.array([np.nan, -0.1, -0.2]),
+    ),
+    tuning.Trace("cma", np.array([0.0, 50.0]), np.array([1.0, 0.4]), NONE, NONE),
+)
 
 
 def test_history_is_a_line_a_method_and_its_gradient_where_there_is_one():
@@ -34,6 +40,19 @@ def test_history_is_a_line_a_method_and_its_gradient_where_there_is_one():
     for text in ("lm: 0.05 after 45 units", "cma: 0.4 after 50 units", "footer of the tuning"):
         assert text in told, text
     assert len(tuning.history(TRACES[1:], "").axes) == 1
+    assert "Crosses" not in told
+
+
+def test_history_marks_what_misses_a_goal():
+    """The best gains are those that miss the goals least: their objective may rise."""
+    met = TRACES[0]._replace(
+        best=np.array([1.0, 1.4, 1.2]), violation=np.array([np.nan, 0.3, -0.1])
+    )
+    best = tuning.history([met], "").axes[0]
+    np.testing.assert_array_equal(best.get_lines()[0].get_ydata(), [1.0, 1.4, 1.2])
+    (crosses,) = [line for line in best.get_lines() if line.get_marker() == "X"]
+    assert crosses.get_xydata().tolist() == [[20.0, 1.4]]
+    assert "Crosses miss a goal" in words(best.figure)
 
 
 def test_gains_stand_in_their_ranges_the_farthest_moved_first():

@@ -42,9 +42,9 @@ def as_object(analysis: Analysis, folder: Path) -> dict[str, Any]:
     }
 
 
-def scored_words(found: Analysis) -> str:
+def scored_words(analysis: Analysis) -> str:
     """What of every run is scored; said of each loop where they differ."""
-    told = {case.name: scored_text(case) for case in found.plan.cases}
+    told = {case.name: scored_text(case) for case in analysis.plan.cases}
     if len(set(told.values())) == 1:
         return next(iter(told.values()))
     return "; ".join(f"{name} {text}" for name, text in told.items())

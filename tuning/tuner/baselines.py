@@ -19,12 +19,14 @@ class ConvergenceCurve(NamedTuple):
         simulations: spent, (k,).
         best: J of the best gains so far, (k,).
         gradient: norm of the gradient, NaN where unknown, (k,).
+        violation: largest miss of a goal there, NaN where unknown, (k,).
     """
 
     method: str
     simulations: np.ndarray
     best: np.ndarray
     gradient: np.ndarray
+    violation: np.ndarray
 
     def at(self, simulations: float) -> float:
         """Best J after so many simulations; before the first step, of the gains before."""
@@ -43,8 +45,9 @@ def convergence_curve(result: SearchResult) -> ConvergenceCurve:
     return ConvergenceCurve(
         method=result.method,
         simulations=np.array([0.0, *(step.simulations for step in steps)]),
-        best=np.minimum.accumulate([result.before, *(step.best for step in steps)]),
+        best=np.array([result.before, *(step.best for step in steps)]),
         gradient=np.array([np.nan, *(step.gradient_norm for step in steps)]),
+        violation=np.array([np.nan, *(step.violation for step in steps)]),
     )
 
 
