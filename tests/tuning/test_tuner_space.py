@@ -90,7 +90,7 @@ def test_vectors_and_gains_are_one():
 def test_tied_gains_move_by_one_factor():
     space = made(Search("gains.law.law.slope", tied=True), of=fuzzy())
     slope = np.asarray(space.gains_of(jnp.asarray(space.start() + 0.01)).law.law.slope)
-    np.testing.assert_allclose(slope / [10, 12, 15], np.exp(0.01), rtol=1e-4)
+    np.testing.assert_allclose(slope / [10, 12, 15], np.exp(0.01), rtol=1e-3)
 
 
 def test_parameters_say_where_they_stand():
@@ -131,6 +131,24 @@ def test_neighbours_keep_their_order():
     assert float(least.high) == float(most.low) == 2000.0
     alone = made(Search("thmax_P"), of=case("af-pid-ccc"))
     assert float(alone.entries[0].low) == 400.0
+
+
+def test_the_box_is_the_users_else_the_studys_else_a_factor():
+    """What is named keeps the bounds of its study, each that the user leaves out."""
+    (own,) = (e for e in made(*default_searches(case())).entries if e.path == "gains.slope")
+    factor = np.array([0.1, 10.0])
+    assert not np.array_equal([own.low[0], own.high[0]], factor), "the study says something else"
+    (named,) = made(Search("c1")).entries
+    np.testing.assert_array_equal([named.low, named.high], [own.low, own.high])
+    (high,) = made(Search("c1", high=3.0)).entries
+    assert (high.low[0], high.high[0]) == (own.low[0], 3.0)
+    far = js.replace(case().gains, slope=2 * own.high)
+    (beyond,) = made(Search("c1"), of=case()._replace(gains=far)).entries
+    np.testing.assert_allclose([beyond.low[0], beyond.high[0]], factor * far.slope[0])
+    (none,) = made(Search("nominal.mass"), of=case()).entries
+    np.testing.assert_allclose(
+        [none.low / none.before, none.high / none.before], [[0.1] * 2, [10.0] * 2]
+    )
 
 
 def test_every_loop_has_a_default_search_that_fits():

@@ -4,7 +4,7 @@ The box of a setting is the user's, else the study's, else a factor around the v
 within the range of the field. Labels name every coordinate.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jax import Array
 from jaxstage.model.fields import Quantity, in_units_of, leaves
 from jaxstage.model.settings import known_leaves, resolve, with_leaf
 from jaxstage.studies import Case, known_studies
+from jaxstage.studies.study import Box
 from tuning.tuner.problem.transforms import Transform, boxed, linear, logarithmic, ordered
 from tuning.uncertainty.uncertain_space import element_names
 
@@ -186,17 +187,21 @@ def _near_edge(entry: SearchedGain, value: np.ndarray) -> np.ndarray:
 def default_searches(case: Case) -> tuple[Search, ...]:
     """The boxes of the study of a case that the loop has; without any, every gain that is not 0."""
     known = [path for path, quantity in _gains(case).items() if _has_scale(*quantity)]
-    boxes = [
+    boxes = _study_boxes(case, known)
+    searches = [Search(path, box.low, box.high, tied=box.tied) for path, box in boxes.items()]
+    return tuple(searches) or tuple(map(Search, known))
+
+
+def _study_boxes(case: Case, paths: Iterable[str]) -> dict[str, Box]:
+    """Path -> its box in the study of a case, of the paths that have one."""
+    every = [
         box
         for study in known_studies()
         if any(entry.name == case.name for entry in study.loops)
         for box in study.boxes
     ]
-    boxed_paths = [
-        (path, next((b for b in boxes if path.endswith("." + b.path)), None)) for path in known
-    ]
-    searches = [Search(path, b.low, b.high, tied=b.tied) for path, b in boxed_paths if b]
-    return tuple(searches) or tuple(map(Search, known))
+    first = {path: next((b for b in every if path.endswith("." + b.path)), None) for path in paths}
+    return {path: box for path, box in first.items() if box is not None}
 
 
 def _has_scale(quantity: Quantity, value: Any) -> bool:
@@ -224,11 +229,24 @@ def search_space(case: Case, searches: Sequence[Search], factor: float = FACTOR)
     chosen = _chosen(known, searches)
     if not chosen:
         raise ValueError("nothing to tune: name gains, e.g. c1 (`jaxstage run` shows them)")
+    boxes = _study_boxes(case, chosen)
     entries: list[SearchedGain] = []
     for path, search in chosen.items():
+        search = _with_study_box(search, boxes.get(path), known[path][1])
         entry = _entry(case, path, known[path], search, factor)
         entries.append(entry._replace(first=sum(one.count for one in entries)))
     return SearchSpace(case.gains, _in_order(entries, known))
+
+
+def _with_study_box(search: Search, box: Box | None, before: Any) -> Search:
+    """The search with the bounds of the study where it has none of its own, and they hold the value
+    before."""
+    value = np.asarray(before, float)
+    outside = box is None or np.any((value < box.low) | (value > box.high))
+    if box is None or outside or search.transform in (linear, ordered):
+        return search
+    low = box.low if search.low is None else search.low
+    return search._replace(low=low, high=box.high if search.high is None else search.high)
 
 
 def _gains(case: Case) -> Known:
