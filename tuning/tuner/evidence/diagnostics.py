@@ -12,7 +12,7 @@ from jaxstage.simulate.stability import spectral_radius, transition
 from jaxstage.studies import Case
 from tuning.tuner.problem.problem import Problem, gauss_newton_model
 from tuning.tuner.problem.search_space import parameters
-from tuning.tuner.search.optimise import SearchResult
+from tuning.tuner.search.optimise import METHODS, SearchResult
 
 #: a parameter whose move by one unit (about a factor e) changes the objective by less than this
 #: share has no effect
@@ -107,7 +107,9 @@ def diagnose(problem: Problem, result: SearchResult, z: np.ndarray, case: Case) 
     """
     check, notes = result.check, [result.note] if result.note else []
     if check is None:
-        notes.append("the gradient was not checked: the method does not use it")
+        uses = METHODS[result.method]().needs
+        why = f"--method {result.method} was asked for" if uses else "the method does not use it"
+        notes.append(f"the gradient was not checked: {why}")
     known, note = _effects(problem, z, len(result.starts))
     errors = dict(zip(check.runs, map(float, check.error), strict=True)) if check else None
     ends = tuple(sorted(start.objective for start in result.starts))
