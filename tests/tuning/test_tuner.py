@@ -12,6 +12,7 @@ import jaxstage as js
 from jaxstage.metrics import record, selected, together
 from jaxstage.studies import with_metric
 from jaxstage.studies.case import scored
+from tuning.tuner.problem.compiled_objective import _pulled
 from tuning.tuner.problem.gradient_check import compare_slopes, gradient_check
 from tuning.tuner.problem.objective import LOST, Objective, Term, cvar, mean, parse_goals, worst
 from tuning.tuner.problem.problem import (
@@ -155,8 +156,8 @@ def test_the_objective_is_the_sum_of_its_terms():
         t.weight * (found.columns[t.column] / scale) ** 2
         for t, scale in zip(TERMS, problem().scales, strict=True)
     ]
-    pull = 1e-4 * np.sum((Z - searched().start()) ** 2)
-    costs = sum(parts) / sum(t.weight for t in TERMS) + pull
+    pull = 1 + 1e-4 * np.sum((Z - searched().start()) ** 2)
+    costs = sum(parts) / sum(t.weight for t in TERMS) * pull
     np.testing.assert_allclose(found.costs, costs, rtol=1e-10)
     weights = [1.0] * RUNS + [0.05] * 2  # those with a wrong gain
     expected = np.average(costs, axis=1, weights=weights)
@@ -203,6 +204,30 @@ def test_lost_runs_order_candidates():
         start = case()._replace(gains=weak.gains_of(jnp.asarray([-3.6])))
         space_of_lost = search_space(start, (Search("K", 1e-3, 1e6, tied=True),))
         make_problem(space_of_lost, (own,), Objective(TERMS[:1]), width=4)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("size", [1.0, 1e-8])
+def test_the_pull_is_a_share_of_what_is_left(size):
+    """Value, gradient and curvature of d (1 + 1e-4 |z - z0|^2), however small d is."""
+    target = jnp.array([3.0, -1.0])
+
+    def residuals(z):
+        return jnp.sqrt(size) * jnp.array([z[0] - target[0], 2 * z[1] - target[1], z[0] * z[1]])
+
+    def pulled(z):
+        return _pulled(residuals(z)[None, None], z[None])[0, 0]
+
+    def cost(z):
+        return jnp.sum(residuals(z) ** 2) * (1 + 1e-4 * jnp.sum(z**2))
+
+    z = jnp.array([1.5, 0.7])
+    assert float(jnp.sum(pulled(z) ** 2)) == pytest.approx(float(cost(z)), rel=1e-12)
+    gradient = jax.grad(lambda z: jnp.sum(pulled(z) ** 2))(z)
+    np.testing.assert_allclose(gradient, jax.grad(cost)(z), rtol=1e-10)
+    jacobian = jax.jacfwd(pulled)(z)
+    np.testing.assert_allclose(2 * jacobian.T @ pulled(z), gradient, rtol=1e-10)
+    assert jacobian.shape == (5, 2), "each coordinate has a residual of its own"
 
 
 @pytest.mark.fast
@@ -253,10 +278,10 @@ def test_a_start_has_weights_of_its_own():
     both = with_weights(problem(), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
     found = evaluate(both, np.stack([Z, Z]), np.arange(2))
     ratio = found.columns["contour_rms_um"][0] / both.scales[0]
-    pull, weights = 1e-4 * np.sum((Z - searched().start()) ** 2), [1.0] * RUNS + [0.05] * 2
-    assert found.objective[0] == pytest.approx(np.average(ratio**2, weights=weights) + pull)
+    pull, weights = 1 + 1e-4 * np.sum((Z - searched().start()) ** 2), [1.0] * RUNS + [0.05] * 2
+    assert found.objective[0] == pytest.approx(np.average(ratio**2, weights=weights) * pull)
     drawn = found.columns["energy_copper_J"][1] / both.scales[1]
-    assert found.objective[1] == pytest.approx(np.average(drawn**2, weights=weights) + pull)
+    assert found.objective[1] == pytest.approx(np.average(drawn**2, weights=weights) * pull)
     with pytest.raises(ValueError, match=r"weights must be \(starts, 3\)"):
         with_weights(problem(), np.ones((2, 2)))
 

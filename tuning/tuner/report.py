@@ -59,7 +59,11 @@ def as_object(outcome: TuningResult, extras: Extras) -> dict[str, Any]:
         "refused": [one.reason for one in outcome.refused],
         "try_next": list(dict.fromkeys(one.advice for one in outcome.refused)),
         "before": {"objective": number(objective[0]), "figures": extras.before},
-        "after": {"objective": number(objective[1]), "figures": extras.after},
+        "after": {
+            "objective": number(objective[1]),
+            "objective_without_pull": number(outcome.without_pull),
+            "figures": extras.after,
+        },
         "held_out": held_out_object(outcome.held_out),
         "gains": gains_object(outcome),
         "diagnostics": diagnostics_object(outcome),

@@ -39,6 +39,7 @@ from tuning.tuner.evidence.validation import (
     validation_refusals,
 )
 from tuning.tuner.evidence.worst_case import worst_plants
+from tuning.tuner.problem.objective import pull_factor
 from tuning.tuner.problem.problem import Evaluation, Problem, RunGroup, evaluate
 from tuning.tuner.problem.scenario_set import RunSet
 from tuning.tuner.problem.surrogate import NONE
@@ -131,6 +132,12 @@ class TuningResult(NamedTuple):
     diagnostics: Diagnostics
     refused: tuple[Refusal, ...]
     scored: Mapping[str, list[dict[str, float]]]
+
+    @property
+    def without_pull(self) -> float:
+        """J of the chosen gains without the pull towards the gains before."""
+        moved = self.chosen.z - self.exact.space.start()
+        return self.chosen.validation.exact.objective[1] / float(pull_factor(moved))
 
     @property
     def tuned(self) -> SearchResult:

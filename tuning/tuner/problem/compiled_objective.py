@@ -16,7 +16,7 @@ from jax import Array
 from jaxstage.model.fields import replace
 from jaxstage.model.settings import with_leaf
 from jaxstage.simulate.batch import rollouts, spread_axes
-from tuning.tuner.problem.objective import LOST, PULL, TIGHT, Objective
+from tuning.tuner.problem.objective import LOST, PULL, TIGHT, Objective, pull_factor
 from tuning.tuner.problem.run_group import RunGroup
 from tuning.tuner.problem.search_space import SearchSpace
 from tuning.tuner.problem.training_metrics import MetricColumns, TrainingMetric, training_columns
@@ -132,9 +132,25 @@ def _residuals(
     for value in violations:
         over = jnp.maximum(value + TIGHT, jnp.zeros_like(value))
         parts.append(jnp.sqrt(numbers.penalty) * over[..., None])
-    moved = math.sqrt(PULL) * (z - jnp.asarray(group.space.start(), z.dtype)[None])
-    parts.append(jnp.broadcast_to(moved[:, None], (*shape, z.shape[1])))
-    return jnp.concatenate(parts, axis=-1)
+    moved = z - jnp.asarray(group.space.start(), z.dtype)[None]
+    return _pulled(jnp.concatenate(parts, axis=-1), moved)
+
+
+def _pulled(residuals: Array, moved: Array) -> Array:
+    """Residuals whose squares add up to d (1 + PULL |moved|^2), d being those of ``residuals``.
+
+    A residual sqrt(PULL d) moved for each coordinate gives the pull its curvature; d in it is held
+    fixed, and what its own slope would give is put on the slopes of the others, so that values and
+    gradients are exact.
+
+    Args:
+        residuals: (m, runs, pieces).
+        moved: z - z before, (m, n).
+    """
+    fixed, factor = jax.lax.stop_gradient((residuals, pull_factor(moved)))
+    steeper = fixed + factor[:, None, None] * (residuals - fixed)
+    root = jnp.sqrt(PULL * jnp.sum(fixed**2, axis=-1, keepdims=True))
+    return jnp.concatenate([steeper, root * moved[:, None]], axis=-1)
 
 
 def _costs(group: _Group, z: Array, numbers: _Numbers, data: tuple[Any, Any]) -> _Costs:

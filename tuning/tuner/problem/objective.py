@@ -1,14 +1,15 @@
 """Objective: weighted least squares of metrics, penalised goals, and a risk measure over runs.
 
-    c_s = sum_t w_t (v_ts / scale_t)^2 / sum_t w_t + mu sum_g max(0, violation_gs + TIGHT)^2
-          + PULL |z - z of the gains before|^2
+    d_s = sum_t w_t (v_ts / scale_t)^2 / sum_t w_t + mu sum_g max(0, violation_gs + TIGHT)^2
+    c_s = d_s (1 + PULL |z - z of the gains before|^2)
     J   = sum_s omega_s c_s,   omega: mean, worst case or CVaR of the c_s
 
 v_ts: metric t of run s; scale: what counts as 1, by default the metric of the gains before (for the
 changes of a smooth command a little more, `training_metrics.least_scale`), so that J is about 1
 before and a halved error gives a quarter. Everything is a square, so Gauss-Newton applies. The pull
-is a weak Tikhonov term: what does not matter stays as it was, and no search drifts to the edge of a
-box.
+is a weak regularisation, relative to what is left of the cost: what does not matter stays as it
+was, no search drifts to the edge of a box, and however far J falls, a step that gains more than
+some tenths of a per cent is worth it.
 
 A goal is an inequality constraint; its violation is (left - right) / |right|, positive when it is
 missed. The quadratic penalty mu grows while the best gains miss a goal: the terms are minimised
@@ -31,8 +32,20 @@ from tuning.uncertainty.specification import number, parse
 LOST = 1e6
 #: goals are aimed at this share inside of them, so that a small rest of violation does not matter
 TIGHT = 0.01
-#: what a gain costs that moves by one unit of z, about a factor e
+#: share of the cost that a gain costs which moves by one unit of z, about a factor e
 PULL = 1e-4
+
+
+def pull_factor(moved: Any) -> Any:
+    """1 + PULL |z - z before|^2, by which the pull towards the gains before raises J.
+
+    Args:
+        moved: z - z before, (..., n).
+
+    Returns:
+        (...,).
+    """
+    return 1 + PULL * (moved**2).sum(axis=-1)
 
 
 class Term(NamedTuple):
