@@ -200,10 +200,16 @@ def test_lost_runs_order_candidates():
     assert np.all(np.diff(found.objective[:-1]) < 0) and np.all(np.diff(lost[:-1]) > 0)
     assert np.isnan(lost[-1]) and found.objective[-1] < LOST
     assert np.isinf(found.violation[0]) and found.violation[-1] == -1
+    start = case()._replace(gains=weak.gains_of(jnp.asarray([-3.6])))
+    from_lost = search_space(start, (Search("K", 1e-3, 1e6, tied=True),))
+    found = make_problem(from_lost, (own,), Objective(TERMS[:1]), width=8)
+    assert found.before is not None and found.before.objective[0] >= LOST
+    assert 1 < found.scales[0] < 1e3, "um: the error of gains that hold the run"
+    result = tune(found, starts=2, budget=60.0, cost_model=COST_MODEL)
+    assert result.before >= LOST and result.after <= 1 and result.feasible
+    hopeless = search_space(start, (Search("K", 1e-3, 2e-3, tied=True),))
     with pytest.raises(ValueError, match=r"1 of 1 training runs are lost, the first, tight 0, at"):
-        start = case()._replace(gains=weak.gains_of(jnp.asarray([-3.6])))
-        space_of_lost = search_space(start, (Search("K", 1e-3, 1e6, tied=True),))
-        make_problem(space_of_lost, (own,), Objective(TERMS[:1]), width=4)
+        make_problem(hopeless, (own,), Objective(TERMS[:1]), width=8)
 
 
 @pytest.mark.fast

@@ -39,6 +39,7 @@ from tuning.tuner.problem.scenario_set import (
     widened,
 )
 from tuning.tuner.problem.set_file import ScenarioSets, read_sets, refuse_overlap
+from tuning.tuner.report import verdict_text
 from tuning.tuner.session import missed_goals
 from tuning.uncertainty.scenario_file import NO_SCENARIO
 
@@ -294,6 +295,20 @@ def test_runs_that_one_of_both_lost_are_not_averaged():
     assert found.others["contour_rms_um"] == (1.5, 0.75)
     gone = held_out_verdict(pairs([1.0, np.nan], [np.nan, 2.0]))
     assert gone.before is gone.change is None and gone.lost == 1
+
+
+def test_what_was_lost_and_is_held_is_accepted():
+    """Absolute numbers where there is nothing before to compare with."""
+    lost = np.full(40, np.nan)
+    verdict = held_out_verdict(pairs(lost, np.linspace(5.0, 9.0, 40)))
+    assert verdict.before is verdict.change is None and verdict.after.value == pytest.approx(7.0)
+    assert (verdict.lost_before, verdict.lost) == (40, 0)
+    assert verdict.others["contour_rms_um"] == (None, pytest.approx(7.0))
+    assert refusals(VALIDATION, verdict) == ()
+    text = verdict_text(verdict)
+    assert text.startswith("contour_rms 7 um (") and "0 lost, 40 before" in text
+    (refused,) = refusals(VALIDATION, held_out_verdict(pairs(lost, lost)))
+    assert refused.reason == "too few held-out runs are left to compare"
 
 
 GOOD = ValidationRuns((10.0, 4.0), (1.0, 0.3), 0)

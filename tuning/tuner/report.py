@@ -246,12 +246,18 @@ def gains_text(outcome: TuningResult, gains: Any = None, remark: str = "") -> st
 
 def verdict_text(verdict: HeldOut) -> str:
     """The verdict of the held-out runs in words."""
-    if not (verdict.before and verdict.after and verdict.change):
-        return f"{verdict.lost} of {verdict.runs} runs are lost, too few are left to compare"
     name, unit = split_key(verdict.metric)
-    change = verdict.change
+    after, change = verdict.after, verdict.change
+    if after is None or (verdict.lost > verdict.lost_before and change is None):
+        return f"{verdict.lost} of {verdict.runs} runs are lost, too few are left to compare"
+    if verdict.before is None or change is None:
+        return (
+            f"{name} {after.value:.4g} {unit} ({after.low:.4g}..{after.high:.4g}) on {verdict.runs} "
+            f"runs; {verdict.lost} lost, {verdict.lost_before} before, so that there is no change "
+            "to state"
+        )
     return (
-        f"{name} {verdict.before.value:.4g} -> {verdict.after.value:.4g} {unit}, "
+        f"{name} {verdict.before.value:.4g} -> {after.value:.4g} {unit}, "
         f"{change.value:+.1%} ({change.low:+.1%}..{change.high:+.1%}), on {verdict.runs} runs; "
         f"{verdict.lost} lost, {verdict.lost_before} before"
     )

@@ -334,7 +334,9 @@ def _validation_runs(metric: str, problem: Problem, form: Evaluation, index: int
     """The candidate at a place against the first."""
     values = form.columns[metric][[0, index]]
     both = np.isfinite(values).all(axis=0)
-    means = values[:, both].mean(axis=1) if both.any() else np.full(2, np.nan)
+    after = values[1][np.isfinite(values[1])]
+    alone = np.array([np.nan, after.mean() if len(after) else np.nan])
+    means = values[:, both].mean(axis=1) if both.any() else alone
     before, after = form.objective[[0, index]]
     lost_at = form.lost_at_s[index]
     lost = int(np.isfinite(lost_at).sum())

@@ -75,6 +75,12 @@ def held_out(stated: Row) -> str:
     """A figure of runs that the search never saw, before and after, in one sentence."""
     name, unit = split_key(stated["figure"])
     change = stated["change"]
+    if change is None and stated["after"] is not None:
+        return (
+            f"{name} {interval(stated['after'])} {unit} on {stated['runs']} plants never seen; "
+            f"{stated['lost']} lost, {stated['lost_before']} before, so that there is no change to "
+            "state."
+        )
     if change is None:
         return f"{stated['lost']} of {stated['runs']} runs are lost, too few are left to compare."
     return (

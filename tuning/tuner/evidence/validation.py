@@ -3,6 +3,7 @@
 No search sees any of this. Metrics are those of `jaxstage run`, over the scored part.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -166,8 +167,9 @@ class HeldOut(NamedTuple):
     Attributes:
         metric: its column.
         runs: how many.
-        before, after: means of the runs that neither gains lost, with bootstrap intervals.
-        change: relative change of the mean, with its interval.
+        before, after: means of the runs that neither gains lost, with bootstrap intervals; where
+            the gains before leave too few to compare, ``after`` is of the runs that those after hold.
+        change: relative change of the mean, with its interval; None where too few are left.
         lost_before, lost: runs lost under either gains.
         better: on how many runs the gains after are better; a lost run loses.
         others: every metric -> its means before and after.
@@ -193,16 +195,18 @@ def held_out_verdict(pairs: PairedRuns) -> HeldOut:
     lost_before, lost = pairs.lost()
     ranked = [np.where(np.isnan(x), np.inf, x) for x in (pairs.before, pairs.after)]
     enough = len(before) > 1
+    alone = pairs.after[np.isfinite(pairs.after)]
+    shown = after if enough else alone
     return HeldOut(
         metric=pairs.metric,
         runs=len(pairs.before),
         before=bootstrap(before, np.mean) if enough else None,
-        after=bootstrap(after, np.mean) if enough else None,
+        after=bootstrap(shown, np.mean) if len(shown) > 1 else None,
         change=_change(before, after) if enough else None,
         lost_before=lost_before,
         lost=lost,
         better=share(int(np.sum(ranked[1] < ranked[0])), len(pairs.before)),
-        others=_others(pairs.columns, both),
+        others=_others(pairs.columns, both if enough else None),
         worst=f", most in {pairs.labels[int(np.argmax(ranked[1]))]}" if pairs.labels else "",
     )
 
@@ -219,17 +223,24 @@ def _change(before: np.ndarray, after: np.ndarray) -> Interval:
 
 
 def _others(
-    columns: Mapping[str, np.ndarray], both: np.ndarray
+    columns: Mapping[str, np.ndarray], both: np.ndarray | None
 ) -> dict[str, tuple[float | None, float | None]]:
-    """Means of every metric before and after, of the runs that neither lost."""
+    """Means of every metric before and after, of the runs that neither lost; ``both`` None: each of
+    those that it holds itself."""
     pairs: dict[str, tuple[float | None, float | None]] = {}
     for name, column in columns.items():
         if name.endswith("_at") or name in ("finite", "lost_at_s"):
             continue
-        means = column[:, both].astype(float).mean(axis=1) if both.any() else np.full(2, np.nan)
-        first, second = (float(m) if np.isfinite(m) else None for m in means)
+        rows = column.astype(float) if both is None else column[:, both].astype(float)
+        kept = [row[np.isfinite(row)] if both is None else row for row in rows]
+        first, second = (_mean(row) for row in kept)
         pairs[name] = (first, second)
     return pairs
+
+
+def _mean(values: np.ndarray) -> float | None:
+    mean = float(values.mean()) if len(values) else math.nan
+    return mean if math.isfinite(mean) else None
 
 
 class ValidationRuns(NamedTuple):
@@ -341,6 +352,8 @@ def _held_out_refusals(verdict: HeldOut) -> tuple[Refusal, ...]:
         )
         return (Refusal(reason + verdict.worst, MORE_MARGIN),)
     change = verdict.change
+    if change is None and verdict.after is not None and verdict.lost < verdict.lost_before:
+        return ()  # what was lost is held: there is nothing before to be better than
     if change is None:
         reason = "too few held-out runs are left to compare"
         return (Refusal(reason, "narrower spreads by --scenario, or other gains to start from"),)

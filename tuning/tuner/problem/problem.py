@@ -1,4 +1,9 @@
-"""Tuning problem: search space, training runs and objective, evaluated for many gains at once."""
+"""Tuning problem: search space, training runs and objective, evaluated for many gains at once.
+
+Scales that the user leaves out are the metrics of the gains before. Where these lose a run there
+are none: then they are those of the best of `SCREENED` quasi-random points around, among those that
+hold every run.
+"""
 
 import math
 from collections.abc import Sequence
@@ -12,6 +17,7 @@ from tuning.tuner.problem.compiled_objective import CompiledObjective, compile_o
 from tuning.tuner.problem.objective import Objective
 from tuning.tuner.problem.run_group import RunGroup as RunGroup
 from tuning.tuner.problem.run_group import make_group as make_group
+from tuning.tuner.problem.screening import sobol_normal
 from tuning.tuner.problem.search_space import SearchSpace
 from tuning.tuner.problem.training_metrics import least_scale, training_metric
 
@@ -19,6 +25,8 @@ from tuning.tuner.problem.training_metrics import least_scale, training_metric
 WIDTH = 8
 #: weight mu of a missed goal at the start
 PENALTY = 100.0
+#: points that are tried around gains that lose a run, with each of some standard deviations in z
+SCREENED, SPREADS = 32, (1.0, 2.0, 4.0)
 
 
 class Evaluation(NamedTuple):
@@ -114,6 +122,8 @@ def make_problem(
 ) -> Problem:
     """Compile the evaluation and evaluate the gains before, which set the scales left out.
 
+    Where the gains before lose a run, other gains that hold them all set the scales.
+
     Args:
         space: what is searched.
         groups: training runs.
@@ -122,7 +132,8 @@ def make_problem(
 
     Raises:
         ValueError: in one line, for no runs or terms, an unknown column, a weight that is not
-            positive, gains before that lose a training run, and a scale of 0.
+            positive, gains before that lose a training run where no others are found that hold all
+            and a term has no scale, and a scale of 0.
     """
     groups, terms = tuple(groups), objective.terms
     if not groups or not terms:
@@ -149,22 +160,36 @@ def make_problem(
         before=None,
     )
     first = evaluate(problem, space.start()[None])
-    if any(term.scale is None for term in terms):
-        _refuse_lost(problem, first)
+    if any(term.scale is None for term in terms) and np.any(np.isfinite(first.lost_at_s)):
+        first = _holding(problem, first)
     _refuse_undefined(problem, first)
     problem = problem._replace(scales=scales_of(problem, first))
     return problem._replace(before=evaluate(problem, space.start()[None]))
 
 
-def _refuse_lost(problem: Problem, before: Evaluation) -> None:
+def _holding(problem: Problem, before: Evaluation) -> Evaluation:
+    """Of quasi-random points around gains that lose a run, the one that holds all runs and has the
+    smallest first term.
+
+    Raises:
+        ValueError: there is none.
+    """
+    start = problem.space.start()
+    points = sobol_normal(0, SCREENED, len(start))
+    tried = evaluate(problem, np.concatenate([start + s * points for s in SPREADS]))
+    holds = np.isnan(tried.lost_at_s).all(axis=1)
+    if holds.any():
+        each = np.concatenate([group.weights for group in problem.groups])
+        error = np.average(tried.columns[problem.objective.terms[0].column] ** 2, 1, each)
+        best = int(np.argmin(np.where(holds & np.isfinite(error), error, np.inf)))
+        return Evaluation(*jax.tree.map(lambda x: x[best : best + 1], tuple(tried)))
     lost = before.lost_at_s[0]
-    if np.all(np.isnan(lost)):
-        return
     first = int(np.nanargmin(lost))
     raise ValueError(
         f"before tuning {int(np.sum(~np.isnan(lost)))} of {problem.runs} training runs are lost, "
-        f"the first, {problem.run_names[first]}, at {lost[first]:.4g} s: start from gains that "
-        "hold them all, or give every term a scale"
+        f"the first, {problem.run_names[first]}, at {lost[first]:.4g} s, and none of {len(holds)} "
+        "other gains holds them all: start from gains that do, widen the ranges, or give every "
+        "term a scale"
     )
 
 

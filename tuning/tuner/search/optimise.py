@@ -23,6 +23,7 @@ from tuning.tuner.problem.gradient_check import (
     directions_of,
 )
 from tuning.tuner.problem.problem import Problem
+from tuning.tuner.problem.screening import sobol_normal
 from tuning.tuner.search.budgeted_oracle import Best, BeyondBudget, BudgetedOracle
 from tuning.tuner.search.cma_es import cma_es
 from tuning.tuner.search.cost_model import CostModel, measure_cost_model
@@ -32,8 +33,6 @@ from tuning.tuner.search.lbfgs import lbfgs
 from tuning.tuner.search.levenberg_marquardt import levenberg_marquardt
 from tuning.tuner.search.method import Method
 from tuning.tuner.search.random_search import random_search
-from tuning.uncertainty.designs import sobol_rows
-from tuning.uncertainty.distributions import TAIL
 
 #: up to so many parameters Levenberg-Marquardt, beyond them L-BFGS
 FEW = 30
@@ -193,7 +192,7 @@ def tune(
     begun = _starts(search, starts)
     before = screened + (_cost_of_check(cost_model, size, count) if method is None else 0)
     chosen, note = _affordable(chosen, before + count * chosen.first(cost_model, size), budget)
-    check = _check(search, begun[0]) if method is None and not note else None
+    check = _check(search, _held(problem, begun)) if method is None and not note else None
     chosen = cma_es() if check and not check.ok else chosen
     ended = _run(search, chosen, begun)
     ends = tuple(asked.best[k] for k in range(count))
@@ -269,21 +268,24 @@ def _starts(search: _Search, starts: int | np.ndarray) -> np.ndarray:
     return np.concatenate([first, points[np.argsort(values, kind="stable")[: starts - 1]]])
 
 
-def sobol_normal(seed: int, count: int, size: int) -> np.ndarray:
-    """Scrambled Sobol sequence with standard normal marginals, (count, size)."""
-    from scipy.special import ndtri
-
-    return ndtri(np.clip(sobol_rows(seed, count, size, 0, count), TAIL, 1 - TAIL))
-
-
 def _cost_of_check(cost_model: CostModel, size: int, starts: int) -> float:
     """Simulations of `_check`; its Jacobian is the one that a search from one start begins with."""
     jacobian = cost_model.gauss_newton if starts > 1 else 0.0
     return 2 * DIRECTIONS * len(STEPS) + (jacobian if size <= FEW else DIRECTIONS)
 
 
+def _held(problem: Problem, begun: np.ndarray) -> np.ndarray:
+    """Where gradients are checked: the first start, the second where the gains before lose a run,
+    for a lost run has no slope."""
+    assert problem.before is not None
+    lost = np.isfinite(problem.before.lost_at_s).any() and np.array_equal(
+        begun[0], problem.space.start()
+    )
+    return begun[1] if lost and len(begun) > 1 else begun[0]
+
+
 def _check(search: _Search, z: np.ndarray) -> GradientCheck:
-    """The check of the gradients at the first start. What it asks is logged and charged:
+    """The check of the gradients at a start. What it asks is logged and charged:
     differences as evaluations, slopes along directions as one each."""
     asked, problem = search.asked, search.problem
     along = directions_of(len(z), DIRECTIONS, search.seed)
