@@ -23,6 +23,7 @@ from tuning.tuner.evidence.validation import (
     refusals,
     simulate_metrics,
     simulate_pairs,
+    warnings,
     with_light_metric,
 )
 from tuning.tuner.evidence.worst_case import worst_plants
@@ -306,7 +307,7 @@ def test_what_was_lost_and_is_held_is_accepted():
     assert verdict.others["contour_rms_um"] == (None, pytest.approx(7.0))
     assert refusals(VALIDATION, verdict) == ()
     text = verdict_text(verdict)
-    assert text.startswith("contour_rms 7 um (") and "0 lost, 40 before" in text
+    assert text.startswith("contour rms 7 um (") and "0 lost, 40 before" in text
     (refused,) = refusals(VALIDATION, held_out_verdict(pairs(lost, lost)))
     assert refused.reason == "too few held-out runs are left to compare"
 
@@ -354,6 +355,26 @@ def test_what_is_refused_says_why(changes, after, says):
 
 def test_what_is_better_everywhere_is_accepted():
     assert refusals(VALIDATION, held_out_verdict(pairs(PLANTS, 0.5 * PLANTS))) == ()
+
+
+def test_effort_that_grows_tenfold_is_warned_of():
+    """Of each metric the worst axis, and what would have priced it; nothing else is told."""
+    runs = np.ones((2, 5))
+    columns = {
+        "contour_rms_um": runs,
+        "command_rms_x_A": runs * [[0.1], [2.0]],
+        "command_rms_y_A": runs * [[0.1], [3.8]],
+        "chattering_x_A": runs * [[0.1], [0.9]],
+        "energy_J": runs * [[27.0], [115100.0]],
+        "energy_copper_J": runs * [[1.0], [100.0]],
+        "following_max_x_um": runs * [[1.0], [100.0]],
+    }
+    verdict = held_out_verdict(PairedRuns("contour_rms_um", runs[0], 0.5 * runs[0], columns))
+    first, second = warnings(verdict, ("x", "y"))
+    assert first.startswith("command_rms_y_A grows from 0.1 to 3.8, 38 times: --objective")
+    assert "0.1*command_rms_A'" in first
+    assert second.startswith("energy_J grows from 27 to 1.151e+05, 4.26e+03 times")
+    assert warnings(verdict._replace(others={}), ("x", "y")) == ()
 
 
 def test_held_out_runs_are_simulated_under_both_gains():

@@ -58,6 +58,7 @@ def as_object(outcome: TuningResult, extras: Extras) -> dict[str, Any]:
         "accepted": not outcome.refused,
         "refused": [one.reason for one in outcome.refused],
         "try_next": list(dict.fromkeys(one.advice for one in outcome.refused)),
+        "warnings": list(outcome.warnings),
         "before": {"objective": number(objective[0]), "figures": extras.before},
         "after": {
             "objective": number(objective[1]),
@@ -238,7 +239,7 @@ def gains_text(outcome: TuningResult, gains: Any = None, remark: str = "") -> st
         [
             f"tuned for {outcome.plan.table['loop']} by jaxstage {__version__}, "
             f"configuration {digest(outcome.plan.text)}; SI units",
-            *([remark] if remark else verdict),
+            *([remark] if remark else (*verdict, *(f"WARNING: {w}" for w in outcome.warnings))),
         ],
         [] if remark else [one.reason for one in outcome.refused],
     )
@@ -252,9 +253,9 @@ def verdict_text(verdict: HeldOut) -> str:
         return f"{verdict.lost} of {verdict.runs} runs are lost, too few are left to compare"
     if verdict.before is None or change is None:
         return (
-            f"{name} {after.value:.4g} {unit} ({after.low:.4g}..{after.high:.4g}) on {verdict.runs} "
-            f"runs; {verdict.lost} lost, {verdict.lost_before} before, so that there is no change "
-            "to state"
+            f"{name} {after.value:.4g} {unit} ({after.low:.4g}..{after.high:.4g}) on "
+            f"{verdict.runs} runs; {verdict.lost} lost, {verdict.lost_before} before, so that "
+            "there is no change to state"
         )
     return (
         f"{name} {verdict.before.value:.4g} -> {after.value:.4g} {unit}, "

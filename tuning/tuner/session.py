@@ -37,6 +37,7 @@ from tuning.tuner.evidence.validation import (
     refusals,
     simulate_pairs,
     validation_refusals,
+    warnings,
 )
 from tuning.tuner.evidence.worst_case import worst_plants
 from tuning.tuner.problem.objective import pull_factor
@@ -119,6 +120,7 @@ class TuningResult(NamedTuple):
         diagnostics: of the search and its result.
         refused: why the gains are not accepted.
         scored: what of the runs is scored: of the loop itself, in training, held out.
+        warnings: what they pay for their accuracy, one line each.
     """
 
     plan: TuningPlan
@@ -132,6 +134,7 @@ class TuningResult(NamedTuple):
     diagnostics: Diagnostics
     refused: tuple[Refusal, ...]
     scored: Mapping[str, list[dict[str, float]]]
+    warnings: tuple[str, ...]
 
     @property
     def without_pull(self) -> float:
@@ -200,6 +203,7 @@ def run_tuning(
             "training": _scored(train),
             "held_out": _scored(held_out),
         },
+        warnings=warnings(verdict, plan.case.loop.plant.axes),
     )
 
 

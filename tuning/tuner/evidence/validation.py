@@ -168,7 +168,7 @@ class HeldOut(NamedTuple):
         metric: its column.
         runs: how many.
         before, after: means of the runs that neither gains lost, with bootstrap intervals; where
-            the gains before leave too few to compare, ``after`` is of the runs that those after hold.
+            those before leave too few to compare, ``after`` is of the runs that those after hold.
         change: relative change of the mean, with its interval; None where too few are left.
         lost_before, lost: runs lost under either gains.
         better: on how many runs the gains after are better; a lost run loses.
@@ -285,6 +285,33 @@ class Refusal(NamedTuple):
 
     reason: str
     advice: str
+
+
+#: metrics of effort, and the growth that a verdict warns of
+EFFORT = ("command_rms", "command_max", "command_variation", "chattering", "energy_J")
+TENFOLD = 10.0
+
+
+def warnings(verdict: HeldOut, axes: Sequence[str]) -> tuple[str, ...]:
+    """What accepted gains pay for their accuracy: metrics of effort that grow tenfold.
+
+    Args:
+        verdict: of the held-out runs.
+        axes: names of the axes; of a metric that is given per axis the worst one is told.
+
+    Returns:
+        One line each, with the term of an objective that prices it.
+    """
+    worst: dict[str, tuple[float, str]] = {}
+    for name, (before, after) in verdict.others.items():
+        if not name.startswith(EFFORT) or not before or after is None or before < 0:
+            continue
+        growth = after / before
+        bare = next((n for a in axes if (n := name.replace(f"_{a}_", "_", 1)) != name), name)
+        if growth > max(TENFOLD, worst.get(bare, (0.0, ""))[0]):
+            change = f"{name} grows from {before:.4g} to {after:.4g}, {growth:.3g} times"
+            worst[bare] = growth, f"{change}: --objective '... + 0.1*{bare}' prices it"
+    return tuple(text for _, text in worst.values())
 
 
 #: what to try where the search found too little
