@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 
 from jaxstage import __version__
 from jaxstage.controllers.fuzzy_rules import OUTPUTS, fuzzy_laws, readable
@@ -123,6 +124,8 @@ def _held_out(outcome: TuningResult, footer: str) -> sweep.Figure:
         for label, values in (("after", pairs.after), ("before", pairs.before))
     ]
     text = f"Each dot is one held-out plant under both gains: {verdict_text(verdict)}."
+    if not np.any(np.isfinite(pairs.before) & np.isfinite(pairs.after)):
+        return sweep.distribution(samples, sheet)
     return sweep.versus(samples[0], samples[1], text, sheet)
 
 

@@ -93,6 +93,8 @@ class Problem(NamedTuple):
         programs: the compiled functions.
         data: (scenario, motion) of each group.
         before: the gains before, evaluated.
+        holding: z of other gains that hold all runs, where those before do not and the scales are
+            theirs, (n,); else None.
     """
 
     space: SearchSpace
@@ -105,6 +107,7 @@ class Problem(NamedTuple):
     programs: CompiledObjective
     data: tuple[tuple[Any, Any], ...]
     before: Evaluation | None
+    holding: np.ndarray | None = None
 
     @property
     def runs(self) -> int:
@@ -161,28 +164,30 @@ def make_problem(
     )
     first = evaluate(problem, space.start()[None])
     if any(term.scale is None for term in terms) and np.any(np.isfinite(first.lost_at_s)):
-        first = _holding(problem, first)
+        problem, first = _with_holding(problem, first)
     _refuse_undefined(problem, first)
     problem = problem._replace(scales=scales_of(problem, first))
     return problem._replace(before=evaluate(problem, space.start()[None]))
 
 
-def _holding(problem: Problem, before: Evaluation) -> Evaluation:
-    """Of quasi-random points around gains that lose a run, the one that holds all runs and has the
-    smallest first term.
+def _with_holding(problem: Problem, before: Evaluation) -> tuple[Problem, Evaluation]:
+    """The problem with gains that hold all runs, and these evaluated: of quasi-random points around
+    the gains before the one with the smallest first term.
 
     Raises:
         ValueError: there is none.
     """
     start = problem.space.start()
     points = sobol_normal(0, SCREENED, len(start))
-    tried = evaluate(problem, np.concatenate([start + s * points for s in SPREADS]))
+    every = np.concatenate([start + s * points for s in SPREADS])
+    tried = evaluate(problem, every)
     holds = np.isnan(tried.lost_at_s).all(axis=1)
     if holds.any():
         each = np.concatenate([group.weights for group in problem.groups])
         error = np.average(tried.columns[problem.objective.terms[0].column] ** 2, 1, each)
         best = int(np.argmin(np.where(holds & np.isfinite(error), error, np.inf)))
-        return Evaluation(*jax.tree.map(lambda x: x[best : best + 1], tuple(tried)))
+        own = Evaluation(*jax.tree.map(lambda x: x[best : best + 1], tuple(tried)))
+        return problem._replace(holding=every[best]), own
     lost = before.lost_at_s[0]
     first = int(np.nanargmin(lost))
     raise ValueError(

@@ -162,7 +162,8 @@ def tune(
         method: None chooses: Levenberg-Marquardt for few parameters, L-BFGS for many, CMA-ES where
             a check of the gradients fails. With few parameters CMA-ES then spends the rest of the
             budget around the best point, which passes kinks where no gradient leads on.
-        starts: how many, the first the gains before, or their z (k, n).
+        starts: how many, the first the gains before (where these lose a run, gains that hold all),
+            or their z (k, n).
         seed: of starts and method.
         budget: simulations, never overrun. Where it does not pay for the first step of the method,
             CMA-ES searches, and `SearchResult.note` says so.
@@ -192,7 +193,7 @@ def tune(
     begun = _starts(search, starts)
     before = screened + (_cost_of_check(cost_model, size, count) if method is None else 0)
     chosen, note = _affordable(chosen, before + count * chosen.first(cost_model, size), budget)
-    check = _check(search, _held(problem, begun)) if method is None and not note else None
+    check = _check(search, begun[0]) if method is None and not note else None
     chosen = cma_es() if check and not check.ok else chosen
     ended = _run(search, chosen, begun)
     ends = tuple(asked.best[k] for k in range(count))
@@ -257,10 +258,12 @@ def _logged_cost_model(
 
 
 def _starts(search: _Search, starts: int | np.ndarray) -> np.ndarray:
-    """z (k, n): the gains before, and the best of `AMONG` Sobol points around them."""
+    """z (k, n): the gains before, or those that hold where they do not, and the best of `AMONG`
+    Sobol points around them."""
     if not isinstance(starts, int):
         return np.array(starts, float)
-    first = search.problem.space.start()[None]
+    problem = search.problem
+    first = (problem.space.start() if problem.holding is None else problem.holding)[None]
     if starts == 1:
         return first
     points = first + SPREAD * sobol_normal(search.seed, AMONG, first.shape[1])
@@ -274,18 +277,8 @@ def _cost_of_check(cost_model: CostModel, size: int, starts: int) -> float:
     return 2 * DIRECTIONS * len(STEPS) + (jacobian if size <= FEW else DIRECTIONS)
 
 
-def _held(problem: Problem, begun: np.ndarray) -> np.ndarray:
-    """Where gradients are checked: the first start, the second where the gains before lose a run,
-    for a lost run has no slope."""
-    assert problem.before is not None
-    lost = np.isfinite(problem.before.lost_at_s).any() and np.array_equal(
-        begun[0], problem.space.start()
-    )
-    return begun[1] if lost and len(begun) > 1 else begun[0]
-
-
 def _check(search: _Search, z: np.ndarray) -> GradientCheck:
-    """The check of the gradients at a start. What it asks is logged and charged:
+    """The check of the gradients at the first start. What it asks is logged and charged:
     differences as evaluations, slopes along directions as one each."""
     asked, problem = search.asked, search.problem
     along = directions_of(len(z), DIRECTIONS, search.seed)
