@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 import jaxstage as js
 from jaxstage.model.settings import read_toml
 from jaxstage.model.signals import Measurement
+from tuning.app.reports.tuning import _gradients
 from tuning.store.gains_file import TunedGain, read_gains, read_tuned, to_text
 from tuning.store.prepare import prepare
-from tuning.tuner.evidence.diagnostics import effects
+from tuning.tuner.evidence.diagnostics import effects, unchecked
 from tuning.tuner.evidence.worst_case import worst_of
 from tuning.tuner.options import default_objective, parse_gains, parse_objective, search_of
 from tuning.tuner.pictures import BeforeAfter, rule_pictures, rules_text, write_rules
@@ -292,3 +293,21 @@ def test_fuzzy_rules_before_and_after_as_tables_and_surfaces(tmp_path):
     plain = js.build("pi-circle", js.Timing(lap_time=0.02, laps=1))
     without = Ended(Memory(()))
     assert rules_text(BeforeAfter(plain, plain, (without, without))) is None
+
+
+# --- diagnostics -------------------------------------------------------------------------------
+
+
+def test_the_check_of_gradients_says_how_many_runs_agree():
+    """Three of four runs are enough, and the fourth is named with its error."""
+    errors = {"a 0": 0.01, "a 1": 0.19, "b 0": 0.96, "b 1": 0.02}
+    told = _gradients({"gradient_ok": True, "gradient_error": errors})
+    assert told == "yes: 3 of 4 runs agree with differences to 20%, worst 0.96 in b 0"
+    none = _gradients({"gradient_ok": False, "gradient_error": {"a": None}})
+    assert none.startswith("NO: 0 of 1 runs agree")
+
+
+def test_why_gradients_were_not_checked():
+    """A method that uses none, and one that was asked for by name."""
+    assert unchecked("cma") == "the gradient was not checked: the method does not use it"
+    assert unchecked("lbfgs") == "the gradient was not checked: --method lbfgs was asked for"

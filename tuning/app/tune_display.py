@@ -76,7 +76,11 @@ def show(answer: Row) -> None:
         say(line, "green" if answer["accepted"] else "red")
     say(f"scored: {scored(answer)}")
     before, after = (number(answer[when]["objective"]) for when in ("before", "after"))
-    say(f"objective {answer['objective']}: {before} before, {after} after")
+    without = number(answer["after"]["objective_without_pull"])
+    say(
+        f"objective {answer['objective']}: {before} before, {after} after, {without} without the "
+        "pull towards the gains before"
+    )
     show_table(metrics(answer, ("contour ", "ate", "energy")))
     table = gains(answer)
     show_table(table._replace(rows=table.rows[:MOST]))

@@ -1,5 +1,6 @@
 """The report of a tuning: the folder that ``jaxstage tune --out`` leaves."""
 
+import math
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ from tuning.app.result_table import (
     number,
     numeric,
 )
+from tuning.tuner.problem.gradient_check import TOLERANCE
 
 #: what a tuning leaves to take away, as far as it is there
 FILES = ("gains.toml", "refused-gains.toml", "rules.txt")
@@ -69,6 +71,7 @@ def verdict(answer: Row) -> Iterator[str]:
     if told:
         yield f"What to try next: {'; '.join(answer['try_next'])}."
     yield held_out(answer["held_out"])
+    yield from (f"Warning: {text}." for text in answer["warnings"])
 
 
 def held_out(stated: Row) -> str:
@@ -196,9 +199,7 @@ def baselines(answer: Row) -> Iterator[ResultTable]:
 
 def _diagnostics(stated: Row) -> Iterator[tuple[str, str]]:
     if stated["gradient_ok"] is not None:
-        worst = max((v for v in stated["gradient_error"].values() if v is not None), default=None)
-        state = "yes" if stated["gradient_ok"] else "NO"
-        yield "Do gradients agree with differences?", f"{state}, largest error {number(worst)}"
+        yield "Can gradients be trusted?", _gradients(stated)
     if stated["starts_agree"] is not None:
         ends = ", ".join(map(number, stated["starts"]))
         yield (
@@ -229,6 +230,16 @@ def _diagnostics(stated: Row) -> Iterator[tuple[str, str]]:
         radius = stated["spectral_radius"]
         before, after = (f"{radius[when]:.6g}" for when in ("before", "after"))
         yield "Spectral radius of one control period", f"{before} → {after}"
+
+
+def _gradients(stated: Row) -> str:
+    """In how many training runs slopes agree with differences, and where they do worst."""
+    errors = {k: math.inf if v is None else v for k, v in stated["gradient_error"].items()}
+    good = sum(error <= TOLERANCE for error in errors.values())
+    state = "yes" if stated["gradient_ok"] else "NO"
+    text = f"{state}: {good} of {len(errors)} runs agree with differences to {TOLERANCE:.0%}"
+    worst = max(errors, key=lambda run: errors[run], default=None)
+    return text if worst is None else f"{text}, worst {number(errors[worst])} in {worst}"
 
 
 def _short(labels: list[str]) -> list[str]:

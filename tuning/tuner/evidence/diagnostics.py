@@ -107,9 +107,7 @@ def diagnose(problem: Problem, result: SearchResult, z: np.ndarray, case: Case) 
     """
     check, notes = result.check, [result.note] if result.note else []
     if check is None:
-        uses = METHODS[result.method]().needs
-        why = f"--method {result.method} was asked for" if uses else "the method does not use it"
-        notes.append(f"the gradient was not checked: {why}")
+        notes.append(unchecked(result.method))
     known, note = _effects(problem, z, len(result.starts))
     errors = dict(zip(check.runs, map(float, check.error), strict=True)) if check else None
     ends = tuple(sorted(start.objective for start in result.starts))
@@ -124,6 +122,13 @@ def diagnose(problem: Problem, result: SearchResult, z: np.ndarray, case: Case) 
         radius=_radii(case, problem.space.gains, problem.space.gains_of(jnp.asarray(z))),
         notes=(*notes, *note),
     )
+
+
+def unchecked(method: str) -> str:
+    """Why a search by a method did not check the gradients: only the automatic choice needs to."""
+    used = METHODS[method]().needs
+    why = f"--method {method} was asked for" if used else "the method does not use it"
+    return f"the gradient was not checked: {why}"
 
 
 def _effects(problem: Problem, z: np.ndarray, starts: int) -> tuple[Effects | None, list[str]]:
