@@ -192,7 +192,7 @@ def _with_holding(problem: Problem, before: Evaluation) -> tuple[Problem, Evalua
     first = int(np.nanargmin(lost))
     raise ValueError(
         f"before tuning {int(np.sum(~np.isnan(lost)))} of {problem.runs} training runs are lost, "
-        f"the first, {problem.run_names[first]}, at {lost[first]:.4g} s, and none of {len(holds)} "
+        f"the first, {problem.run_names[first]}, at {lost[first]:.4g} s, and none of {len(every)} "
         "other gains holds them all: start from gains that do, widen the ranges, or give every "
         "term a scale"
     )
