@@ -17,7 +17,7 @@ LEAST, MOST = 0.2, 5.0
 
 
 def claims(title: str, judged: tuple[Judgement, ...]) -> Figure:
-    """One row a claim: its words, its verdict, the figures, and ours over published.
+    """One row a claim: its words, its verdict, both numbers, and ours over published.
 
     Claims that no simulation can decide are only counted, in the title line.
     """
@@ -97,5 +97,5 @@ def _row(ax: Axes, row: int, judgement: Judgement) -> None:
 
 
 def number(value: float | None) -> str:
-    """A figure with four digits, a dash for none."""
+    """A number with four digits, a dash for none."""
     return "–" if value is None else plain(value)

@@ -39,7 +39,7 @@ def pictures(
 ) -> tuple[Path, ...]:
     """Draw what applies to the run into ``folder``, which must exist; returns the files.
 
-    report: the figures of the scored part. rows: what the metric `record` stored. result: the
+    report: the metrics of the scored part. rows: what the metric `record` stored. result: the
     summary of the run; its ``left_path_at`` says why a run was lost, its ``verdict`` stands above.
     A picture of an earlier run that does not apply to this one is removed.
     """

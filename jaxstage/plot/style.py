@@ -87,7 +87,7 @@ def time_axis(ax: Axes, view: View, labelled: bool = False) -> None:
 
 
 def other_laps(view: View) -> str:
-    """What the part of a run that figures do not cover is called."""
+    """What the part of a run that metrics do not cover is called."""
     return "other laps" if len(view.laps) > 1 else "not scored"
 
 

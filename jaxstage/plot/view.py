@@ -66,7 +66,7 @@ class View(NamedTuple):
 def view(case: Case, report: Any, rows: Sample, because: str = "the run was lost") -> View:
     """What the pictures draw.
 
-    report: the figures of the scored part. rows: what the metric `record` stored of the whole run.
+    report: the metrics of the scored part. rows: what the metric `record` stored of the whole run.
     because: why the run was lost, if it was (only `Run.final` knows).
     """
     tool = np.asarray(rows.output.position)

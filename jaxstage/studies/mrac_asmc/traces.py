@@ -161,7 +161,7 @@ def _within(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
 
 
 def window_metrics(error: np.ndarray, command: np.ndarray) -> dict[str, float]:
-    """Figures of the drive's error in um and of the command in N m, (ticks,) each.
+    """Metrics of the drive's error in um and of the command in N m, (ticks,) each.
 
     The level of a band is the root mean square of the amplitudes in it.
     """
@@ -212,7 +212,7 @@ def metrics(rows: Mapping[str, np.ndarray], start: int, stop: int) -> dict[str, 
 
 
 def run_metrics(cases: Mapping[str, Case], periods: Mapping[str, float]) -> dict[str, Any]:
-    """Figures of every case by name, of t >= `SKIP`; those of a lost run are None.
+    """Metrics of every case by name, of t >= `SKIP`; those of a lost run are None.
 
     periods: cases judged over the second half of their first period, of that length in s.
     """

@@ -87,7 +87,7 @@ def _difference(share: float | None) -> str:
 def _texts(name: str) -> dict[str, str]:
     """Picture -> how to read it, from the plots of the study."""
     texts = {
-        "claims": "All claims that can be checked: a dot is our figure over the published one, 1 "
+        "claims": "All claims that can be checked: a dot is our number over the published one, 1 "
         "is equal; the colour is the verdict."
     }
     for study in known_studies():
