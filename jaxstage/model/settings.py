@@ -18,6 +18,7 @@ import tomli_w
 
 from jaxstage.model.fields import Quantity, is_pytree_data, leaves, replace
 from jaxstage.model.signals import Scenario
+from jaxstage.system.files import read_input
 
 #: parts of a scenario that settings reach
 SCENARIO_PARTS = ("plant", "load", "sensor", "drive", "start")
@@ -229,13 +230,15 @@ def read_toml(file: Path) -> TomlFile:
     """
     text = ""
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_input(file)
         return TomlFile(file, text, _flat(tomllib.loads(text), ""))
     except FileNotFoundError:
         raise ValueError(f"{file}: no such file") from None
     except OSError as error:
         raise ValueError(f"{file}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise ValueError(f"{file}: tables or lists are nested too deep") from None
+    except tomllib.TOMLDecodeError as error:
         end = f"at the end, line {len(text.splitlines())}"
         message = str(error).replace("at end of document", end)
         raise ValueError(f"{file}: {message}") from None

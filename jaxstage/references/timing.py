@@ -13,6 +13,10 @@ from jaxstage.model.fields import pytree, signal
 from jaxstage.references.arc import ArcTable, arc_at, arc_table, as_double, parameter_at
 from jaxstage.references.checked import positive
 from jaxstage.references.nurbs import Nurbs, in_span, span_of
+from jaxstage.system.memory import memory_bytes
+
+#: bytes a tick that making a lap takes at its peak, measured
+TICK_BYTES = 2800
 
 
 @pytree
@@ -55,6 +59,8 @@ def _uniform_parameter(lap_time: float, dt: float) -> LapTiming:
         raise ValueError(f"lap_time must be >= dt = {dt:g} s; got {lap_time:g} s")
     count = round(lap_time / dt)
 
+    _refuse_large(count, dt)
+
     def timing(curve: Nurbs, table: ArcTable) -> Ticks:
         whole = np.ptp(curve.knots)
         u = curve.knots[0] + whole * (np.arange(count) / count)
@@ -91,6 +97,17 @@ def constant_feed(feed: float, dt: float) -> LapTiming:
     return _constant_feed(float(feed), float(dt))
 
 
+def _refuse_large(count: int, dt: float) -> None:
+    """Raise ValueError for a lap that does not fit into the memory while it is made."""
+    most = memory_bytes() / 2 / TICK_BYTES
+    if count > most:
+        raise ValueError(
+            f"a lap of {count * dt:.4g} s at dt = {dt:g} s takes {count * TICK_BYTES / 1e9:.3g} GB "
+            f"while it is made, half the memory here is {memory_bytes() / 2e9:.3g} GB: must be <= "
+            f"{most * dt:.4g} s at this dt"
+        )
+
+
 @functools.cache
 def _constant_feed(feed: float, dt: float) -> LapTiming:
     positive("feed", feed, "mm/min")
@@ -99,6 +116,7 @@ def _constant_feed(feed: float, dt: float) -> LapTiming:
     def timing(curve: Nurbs, table: ArcTable) -> Ticks:
         length = table.arc[-1]
         count = round(length / (feed / 6e4 * dt))
+        _refuse_large(count, dt)
         if count < 2:
             limit = length / (2 * dt) * 6e4
             raise ValueError(f"feed must be <= {limit:g} mm/min: a lap needs 2 ticks; got {feed:g}")

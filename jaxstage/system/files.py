@@ -2,6 +2,7 @@
 
 import glob
 import os
+import select
 import stat
 import time
 import uuid
@@ -10,6 +11,8 @@ from pathlib import Path
 
 #: s after which nobody writes an unfinished file any more
 ABANDONED = 3600.0
+#: most bytes of a file of a user, and s that nobody may write to a pipe
+LARGEST, PATIENCE = 10_000_000, 30.0
 
 
 def write_whole(file: Path, data: bytes) -> None:
@@ -49,6 +52,29 @@ def _remove_leftovers(file: Path) -> None:
                 partial.unlink()
 
 
+def read_input(file: Path) -> str:
+    """Text of a file or pipe of a user, read once.
+
+    Raises:
+        ValueError: not UTF-8 (a byte order mark may begin it), larger than `LARGEST`, or a pipe to
+            which nobody writes for `PATIENCE`.
+        OSError: it cannot be read.
+    """
+    opened = os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    with open(opened, "rb") as stream:
+        if stat.S_ISFIFO(os.fstat(opened).st_mode):
+            if not select.select([stream], [], [], PATIENCE)[0]:
+                raise ValueError(f"{file}: a pipe to which nobody has written for {PATIENCE:g} s")
+            os.set_blocking(opened, True)
+        data = stream.read(LARGEST + 1)
+    if len(data) > LARGEST:
+        raise ValueError(f"{file}: larger than {LARGEST / 1e6:g} MB")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError(f"{file}: save it as UTF-8") from None
+
+
 def write_text(file: Path, text: str) -> None:
     """`write_whole` of text."""
     write_whole(file, text.encode())
@@ -71,7 +97,8 @@ def keep_name(folder: Path) -> None:
 
 def private_folder(folder: Path) -> Path:
     """Make a folder that only its owner may enter, and those above it, where they are missing."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(FileExistsError):  # a file: the next line says that it is no folder
+        folder.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(mode=0o700, exist_ok=True)
     return folder
 

@@ -14,6 +14,7 @@ from tests.app.test_front import read
 from tests.helpers.commanding import command as command
 from tests.helpers.commanding import few_figures, strict_json
 from tests.helpers.documented import undocumented
+from tuning.app.demo import stages
 from tuning.app.main import EXAMPLES
 
 ROOT = Path(__file__).parents[2]
@@ -57,7 +58,7 @@ def small(command, monkeypatch):
 
     def run(prepared, out):
         begun.append(f"run {prepared.case.name}")
-        out.mkdir(parents=True)
+        out.mkdir(parents=True, exist_ok=True)
         save(Figure((1, 1)), out / "contour.png")
         return {
             "loop": prepared.case.name, "verdict": "", "finite": False, "duration_s": 0.02,
@@ -158,3 +159,30 @@ def test_a_folder_that_holds_no_demo_or_another_one(command, small, monkeypatch)
     monkeypatch.setattr("tuning.app.demo.stages.PLANTS", 9)
     refused = command("demo", "--out", "other")
     assert refused.status == 2 and "a demo of another configuration; plants: 8 -> 9" in refused.err
+
+
+@pytest.mark.parametrize("text", ["[]", "null", "{", '{"run pi-circle": 3}', "\xff", "[" * 9999])
+def test_a_damaged_list_of_stages(tmp_path, text):
+    """What cannot be read has not ended; the rest counts."""
+    took = {"command": "jaxstage run", "seconds": 1.5, "processor_seconds": 2.0}
+    (tmp_path / "stages.json").write_bytes(text.encode("latin-1"))
+    assert stages.ended(tmp_path) == {}
+    both = {"run pi-circle": took, "published": took | {"seconds": "long"}}
+    (tmp_path / "stages.json").write_text(json.dumps(both))
+    assert stages.ended(tmp_path) == {"run pi-circle": stages.StageTime(**took)}
+
+
+def test_damaged_answers_are_made_again(command, small):
+    begun, _ = small
+    assert command("demo", "--out", "d").status == 0
+    whole = strict_json(Path("d/demo.json").read_text())
+    Path(f"d/tune/{FIRST}/tune.json").write_text("{")
+    Path("d/tuned/summary.json").unlink()
+    begun.clear()
+    again = command("demo", "--out", "d")
+    assert again.status == 0 and begun == [f"tune {FIRST}"], again.err
+    made = strict_json(Path("d/demo.json").read_text())
+    assert made["loops"] == whole["loops"] and made["verdict"] == whole["verdict"]
+    Path(f"d/tune/{FIRST}/tune.json").write_text('{"loop": 3}')
+    refused = command("demo", "--out", "d")
+    assert refused.status == 2 and "delete d/stages.json" in refused.err

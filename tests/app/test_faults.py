@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from tests.helpers.commanding import command as command
 from tests.helpers.commanding import few_figures
 from tuning.app import export_folder
 from tuning.app.reports.page import Page, html
-from tuning.store.work_folder import locked
+from tuning.store.work_folder import FolderKind, create, locked, read_configuration
 
 ROOT = Path(__file__).parents[2]
 SHORT = ("--set", "lap_time=0.02", "--set", "laps=1", "--set", "scored=0")
@@ -166,6 +167,16 @@ def test_a_lock_keeps_what_was_written(tmp_path):
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.fast
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_folder_with_nothing_but_an_unfinished_configuration_is_empty(tmp_path, resume):
+    """What a process leaves that is killed while it writes its first file."""
+    kind = FolderKind("sweep.toml", "sweep", ("seed",))
+    (tmp_path / ".sweep.toml.0123456789ab.partial").write_text("see")
+    create(tmp_path, kind, "seed = 0\n", resume)
+    assert read_configuration(tmp_path, kind) == "seed = 0\n"
+
+
 # --- exports ----------------------------------------------------------------------------------
 
 FILES = {"a.c": "one", "b.c": "two", "c.h": "three"}
@@ -204,7 +215,7 @@ def test_an_export_that_was_stopped_anywhere_runs_again(tmp_path, monkeypatch, a
 
 @pytest.mark.fast
 def test_an_export_stopped_before_its_first_file(tmp_path):
-    (tmp_path / "export.json.x.partial").write_text("{")
+    (tmp_path / ".export.json.x.partial").write_text("{")
     export_folder.write(tmp_path, FILES, manifest(FILES))
     assert {file.name for file in tmp_path.iterdir()} == {*FILES, "export.json"}
 
@@ -270,3 +281,70 @@ def test_a_report_names_the_damaged_file(command, name, text):
     assert answer.status == 2 and answer.err.count("\n") == 1
     assert f"{name} is not what this version writes" in answer.err
     assert not Path("results/report.html").exists()
+
+
+# --- work without bounds ----------------------------------------------------------------------
+
+
+def test_a_sweep_without_end_is_refused_before_anything_is_drawn(command, monkeypatch):
+    """1e12 runs of 200 ticks and 1 substep are 2e14 steps; at 1e6 a second and core a year has
+    3.2e13."""
+    few_figures(monkeypatch)
+
+    def drawn(*_):
+        raise AssertionError
+
+    monkeypatch.setattr("tuning.sweeps.configuration._check_draws", drawn)
+    words = ("sweep", "pi-circle", *SHORT, "--out", "new", "--cores", "1")
+    answer = command(*words, "-n", "1000000000000")
+    assert answer.status == 2 and "2e+14 plant steps, about 2.31e+03 days on 1 cores" in answer.err
+    assert "--force simulates them" in answer.err and not Path("new").exists()
+    wrong = command(*words, "--spec", "contour_mx_um < 2")
+    assert wrong.status == 2 and "did you mean 'contour_max_um'" in wrong.err
+
+
+@pytest.mark.parametrize("word", ["lap_time=4e3", "feed=1e-4"])
+def test_a_lap_that_does_not_fit_is_refused_before_it_is_made(command, monkeypatch, word):
+    monkeypatch.setattr("jaxstage.references.timing.memory_bytes", lambda: 16e9)
+    answer = command("run", "pi-circle", "--set", word)
+    assert answer.status == 2 and "GB while it is made, half the memory here is 8 GB" in answer.err
+    assert "must be <= 285.7 s at this dt" in answer.err
+
+
+# --- files of a user --------------------------------------------------------------------------
+
+GAINS = "[gains]\nslope = -1.0  # größe\n"
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (GAINS.encode("utf-8-sig"), "g.toml:2: gains.slope (x) [c1] = -1 1/s"),
+        (GAINS.encode("utf-16"), "g.toml: save it as UTF-8"),
+        (GAINS.encode("cp1252"), "g.toml: save it as UTF-8"),
+        (b"a = " + b"[" * 5000 + b"]" * 5000, "g.toml: tables or lists are nested too deep"),
+        (b"[" + b".".join([b"a"] * 5000) + b"]", "g.toml: tables or lists are nested too deep"),
+        (b"#" * 10_000_001, "g.toml: larger than 10 MB"),
+    ],
+)
+@pytest.mark.parametrize("option", ["--gains", "--scenario"])
+def test_a_file_that_is_no_text(command, option, data, says):
+    Path("g.toml").write_bytes(data)
+    answer = command("run", "pi-circle", option, "g.toml")
+    if option == "--scenario":
+        says = says.replace("gains.slope (x) [c1] = -1 1/s", "'gains.slope' is not in [plant]")
+    assert answer.status == 2 and says in answer.err and answer.err.count("\n") == 1
+
+
+@pytest.mark.fast
+def test_a_pipe_is_read_once_and_not_waited_for_without_end(command, monkeypatch):
+    os.mkfifo("pipe")
+    writer = threading.Thread(target=Path("pipe").write_text, args=("[gains]\nslope = -1.0\n",))
+    writer.start()
+    answer = command("run", "pi-circle", "--gains", "pipe")
+    writer.join()
+    assert answer.status == 2 and "pipe:2: gains.slope (x) [c1] = -1 1/s" in answer.err
+    monkeypatch.setattr("jaxstage.system.files.PATIENCE", 0.2)
+    waited = command("run", "pi-circle", "--gains", "pipe")
+    assert waited.status == 2 and "a pipe to which nobody has written for 0.2 s" in waited.err

@@ -16,7 +16,7 @@ from jaxstage.simulate.rollout import simulate
 from jaxstage.studies import Case, with_metric
 from jaxstage.system.files import write_text
 from tuning.app.messages import json_text
-from tuning.store.work_folder import locked
+from tuning.store.work_folder import is_leftover, locked
 
 #: ticks of the closed loop that the C text is checked with
 TICKS = 1000
@@ -143,11 +143,6 @@ def write(out: Path, files: Mapping[str, str], manifest: dict[str, Any]) -> None
     for name in known.keys() - files.keys():
         (out / name).unlink(missing_ok=True)
     write_text(out / MANIFEST, json_text(manifest))
-
-
-def is_leftover(file: Path) -> bool:
-    """Whether a file is what a process that was killed had begun to write."""
-    return ".partial" in file.name
 
 
 def _checksum(content: bytes) -> str:

@@ -22,6 +22,7 @@ from jaxstage.studies.case import retimed as retime
 from jaxstage.studies.precision import LARGEST, single_precision_error
 from jaxstage.studies.study import NamedLoop
 from jaxstage.system.files import write_text
+from jaxstage.system.memory import memory_bytes
 from tuning.store.gains_file import NO_GAINS, GainsFile
 from tuning.store.run_result import summary, write_settings
 from tuning.uncertainty.scenario_blocks import with_max_delay
@@ -137,13 +138,11 @@ def _refuse_long(case: Case) -> None:
     step = lambda c: advance(case.loop, case.gains, case.scenario, case.path, c)  # noqa: E731
     row = jax.tree.leaves(jax.eval_shape(step, begin)[1])
     size = case.window.ticks * sum(leaf.size * leaf.dtype.itemsize for leaf in row)
-    if hasattr(os, "sysconf"):
-        there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        if size > there / 2:  # pictures hold it a second time
-            raise ValueError(
-                f"a record of {case.window.ticks} control periods takes {size / 1e9:.3g} GB, half "
-                f"the memory here is {there / 2e9:.3g} GB: simulate less, or without --out"
-            )
+    if size > memory_bytes() / 2:  # pictures hold it a second time
+        raise ValueError(
+            f"a record of {case.window.ticks} control periods takes {size / 1e9:.3g} GB, half "
+            f"the memory here is {memory_bytes() / 2e9:.3g} GB: simulate less, or without --out"
+        )
 
 
 def _with_recorded(prepared: Prepared, run: Run) -> Run:

@@ -9,7 +9,7 @@ import functools
 import math
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,10 +93,17 @@ class SweepPlan(NamedTuple):
         return loop, part * self.size, min((part + 1) * self.size, self.table["runs"])
 
 
-def configure_sweep(request: SweepRequest) -> str:
+def configure_sweep(
+    request: SweepRequest, check: Callable[[SweepPlan], object] = lambda plan: None
+) -> str:
     """The configuration as text, everything in it checked, all draws included.
 
-    Raises ValueError in one line for anything unknown, impossible or out of range.
+    Args:
+        request: what the user asked for.
+        check: raises ValueError for a plan that is refused before anything is drawn.
+
+    Raises:
+        ValueError: in one line for anything unknown, impossible or out of range.
     """
     for name, value, low in (("-n", request.runs, 1), ("--chunk", request.chunk, 1)):
         if value < low:
@@ -113,7 +120,9 @@ def configure_sweep(request: SweepRequest) -> str:
         raise ValueError(f"precision = '{request.precision}': must be single or double")
     with jax.enable_x64(request.precision == "double"):
         text = plain_toml(_table(request))
-        _check_draws(build(text))
+        plan = build(text)
+        check(plan)
+        _check_draws(plan)
     return text
 
 

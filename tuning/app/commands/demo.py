@@ -70,13 +70,20 @@ def _run(folder: Path, call: CallCommand) -> dict[str, Any]:
 
     before = stages.ended(folder)
     for number, stage in enumerate(stages.stages(folder), start=1):
-        took = before.get(stage.name)
+        took = before.get(stage.name) if stages.has_answers(stage, folder) else None
         place = f"[{number}/{stages.count()}]"
+        earlier = took is not None
         if took is None:
             progress(f"{place} {shlex.join(['jaxstage', *stages.command_of(stage, folder)])}")
             took = stages.run_stage(stage, folder, call)
-        progress(f"{place} {stage.name}: {_time(took)}{' earlier' * (stage.name in before)}")
-    answer = answers.as_object(folder)
+        progress(f"{place} {stage.name}: {_time(took)}{' earlier' * earlier}")
+    try:
+        answer = answers.as_object(folder)
+    except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        raise ValueError(
+            f"{folder}: a stage has left what this version does not write ({error!r}): delete "
+            f"{folder / 'stages.json'}, `jaxstage demo --out {folder}` runs all stages again"
+        ) from error
     write_text(folder / "demo.json", json_text(answer))
     answers.picture(folder, answer)
     kinds.write(folder, folder / "report.html")

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tuning.app import completion
-from tuning.app.shared_options import AsJson, Force, Precision, Settings, picked
+from tuning.app.shared_options import AsJson, Precision, Settings, picked
 
 if TYPE_CHECKING:
-    from tuning.sweeps.analysis import Analysis
+    from tuning.sweeps.analysis import Analysis, Question
     from tuning.sweeps.configuration import SweepPlan
 
 #: what a configuration holds: not to be given again where a stored one is taken
@@ -80,7 +80,12 @@ class SweepOptions:
         int | None, typer.Option(help="Cores of each worker; all it may use if left out.")
     ] = None
     precision: Precision = "double"
-    force: Force = False
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="Single precision also where it is off by over 1 %; over a day of work."
+        ),
+    ] = False
     tornado: Annotated[
         bool, typer.Option("--tornado", help="First-order effects, from one gradient a loop.")
     ] = False
@@ -100,11 +105,11 @@ def sweep(options: SweepOptions) -> None:
         stored = store.read_configuration(options.out)
         _refuse_given(options.context)
     _start_jax(options, stored)
-    text = stored or _configure(options)
     from tuning.sweeps.analysis import Question, analyse, criteria
     from tuning.sweeps.configuration import build
 
     question = Question(options.spec, options.metric, options.target, options.tornado)
+    text = stored or _configure(options, question)
     plan = build(text)
     metric = criteria(plan, question).metric
     with _executor(options.scheduler, options.workers) as executor:
@@ -128,12 +133,20 @@ def _start_jax(options: SweepOptions, stored: str | None) -> None:
             refuse_rough(loop, options.words)
 
 
-def _configure(options: SweepOptions) -> str:
-    """The configuration that the options ask for."""
+def _configure(options: SweepOptions, question: "Question") -> str:
+    """The configuration that the options ask for; questions are checked before any draw."""
+    from jaxstage.system.runtime import cpu_cores
+    from tuning.app.limits import refuse_unbounded
+    from tuning.sweeps.analysis import criteria
     from tuning.sweeps.configuration import SweepRequest, configure_sweep
 
+    def check(plan: "SweepPlan") -> None:
+        criteria(plan, question)
+        if not options.force:
+            refuse_unbounded(plan, options.cores or cpu_cores())
+
     gains = _gains(options.loops, options.gains)
-    return configure_sweep(picked(options, SweepRequest)._replace(gains=gains))
+    return configure_sweep(picked(options, SweepRequest)._replace(gains=gains), check)
 
 
 def _refuse_given(context: typer.Context) -> None:

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 import jax
 import tomli_w
@@ -41,13 +41,20 @@ WORDS: tuple[str, ...] = ()
 
 
 class Stage(NamedTuple):
-    """One command. out: its folder in that of the demo. words: without ``--out`` and ``--resume``.
-    resumes: whether the command takes up what its folder holds."""
+    """One command.
+
+    Args:
+        name: of the stage.
+        out: its folder in that of the demo.
+        words: of the command, without ``--out`` and ``--resume``.
+        answers: the JSON file that it ends with where it takes up what its folder holds; a stage
+            without a whole one is run again.
+    """
 
     name: str
     out: str
     words: tuple[str, ...]
-    resumes: bool
+    answers: str = ""
 
 
 class StageTime(NamedTuple):
@@ -67,15 +74,17 @@ def stages(folder: Path) -> Iterator[Stage]:
     """All of them in order. The last one is made when it is asked for: it needs the gains that the
     tunings have left by then."""
     for loop in LOOPS:
-        yield Stage(f"run {loop}", f"run/{loop}", ("run", loop, *WORDS), False)
+        yield Stage(f"run {loop}", f"run/{loop}", ("run", loop, *WORDS))
     for loop in LOOPS:
         words = ("tune", loop, "--budget", str(BUDGET), *WORDS)
-        yield Stage(f"tune {loop}", f"tune/{loop}", words, True)
+        yield Stage(f"tune {loop}", f"tune/{loop}", words, "tune.json")
     numbers = ("-n", str(PLANTS), "--seed", str(SEED), "--chunk", str(CHUNK))
     sweep = ("sweep", *LOOPS, *numbers, "--metric", METRIC, *WORDS)
-    yield Stage("published", "published", sweep, True)
+    yield Stage("published", "published", sweep, "summary.json")
     files = [("--gains", f"{loop}={gains_file(folder, loop)}") for loop in LOOPS]
-    yield Stage("tuned", "tuned", (*sweep, *(word for pair in files for word in pair)), True)
+    yield Stage(
+        "tuned", "tuned", (*sweep, *(word for pair in files for word in pair)), "summary.json"
+    )
 
 
 def gains_file(folder: Path, loop: str) -> Path:
@@ -100,17 +109,35 @@ def configuration() -> str:
 
 
 def ended(folder: Path) -> dict[str, StageTime]:
-    """The stages that have ended, by name."""
-    file = folder / "stages.json"
-    if not file.is_file():
+    """The stages that have ended, by name; of a damaged file those that can be read."""
+    kept = read_object(folder / "stages.json")
+    return {name: StageTime(**one) for name, one in kept.items() if _is_stage_time(one)}
+
+
+def _is_stage_time(one: Any) -> bool:
+    fields = get_type_hints(StageTime)
+    same = isinstance(one, dict) and one.keys() == fields.keys()
+    return same and all(isinstance(one[name], kind) for name, kind in fields.items())
+
+
+def has_answers(stage: Stage, folder: Path) -> bool:
+    """Whether the answers of a stage are there."""
+    return not stage.answers or bool(read_object(folder / stage.out / stage.answers))
+
+
+def read_object(file: Path) -> dict[str, Any]:
+    """A JSON object; empty where there is no file, or a damaged one."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError, RecursionError):
         return {}
-    return {k: StageTime(**v) for k, v in json.loads(file.read_text(encoding="utf-8")).items()}
+    return content if isinstance(content, dict) else {}
 
 
 def command_of(stage: Stage, folder: Path) -> list[str]:
     """The words of a stage's command."""
     out = folder / stage.out
-    resume = ("--resume",) if stage.resumes and out.exists() else ()
+    resume = ("--resume",) if stage.answers and out.exists() else ()
     return [*stage.words, "--out", str(out), *resume]
 
 
