@@ -28,6 +28,7 @@ from tuning.uncertainty.distributions import (
     triangular,
     uniform,
 )
+from tuning.uncertainty.metric_table import metric_columns, metric_names
 from tuning.uncertainty.uncertain_space import batch, draw, longest_delay, space, uncertain_leaves
 
 KNOWN = {
@@ -174,6 +175,15 @@ def case():
 
 MASS = {"path": "plant.mass", "distribution": "normal", "mean": 1.0, "deviation": 0.1}
 LOAD = {"path": "plant.load", "distribution": "uniform", "low": 0.5, "high": 1.5}
+
+
+@pytest.mark.fast
+def test_metrics_are_named_before_anything_is_computed(case):
+    loop = case.loop
+    first = loop.reference.sample(case.path, jax.numpy.zeros((), jax.numpy.int32))
+    report = loop.metric.finish(loop.metric.init(first))
+    batch = jax.tree.map(lambda x: np.asarray(x)[None], report)
+    assert metric_names(case) == tuple(metric_columns(batch, loop.plant))
 
 
 @pytest.mark.fast

@@ -48,9 +48,15 @@ def metric_columns(report: Any, plant: Plant) -> dict[str, np.ndarray]:
 def metric_names(case: Case) -> tuple[str, ...]:
     """The columns that `metric_columns` gives for the runs of a case."""
     loop = case.loop
-    first = loop.reference.sample(case.path, jnp.zeros((), jnp.int32))
-    report = loop.metric.finish(loop.metric.init(first))
-    return tuple(metric_columns(jax.tree.map(lambda x: np.asarray(x)[None], report), loop.plant))
+
+    def report() -> Any:
+        first = loop.reference.sample(case.path, jnp.zeros((), jnp.int32))
+        return loop.metric.finish(loop.metric.init(first))
+
+    shapes = jax.eval_shape(report)  # computes nothing
+    return tuple(
+        metric_columns(jax.tree.map(lambda x: np.zeros((1, *x.shape)), shapes), loop.plant)
+    )
 
 
 def flag_columns(run: Run, dt: float) -> dict[str, np.ndarray]:
