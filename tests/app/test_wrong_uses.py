@@ -127,7 +127,7 @@ STUDIES = {
     ),
     "a field": (
         "import jaxstage as js\ngains = js.build('pi-circle').gains\njs.replace(gains, slop=1)\n",
-        ":3: ValueError: Pi has no field 'slop'; did you mean 'slope'?",
+        ":3: Pi has no field 'slop'; did you mean 'slope'?",
     ),
 }
 
