@@ -166,7 +166,8 @@ def _lap_nearest(count: int, curve: Nurbs, tick: Array, tool: Array) -> Nearest:
     point, distance, u, settled = jax.vmap(partial(_in_one_span, curve, tool))(span, start)
     best = jnp.argmin(distance)
     used = jnp.sum(knots[1:] > knots[:-1], dtype=jnp.int32)
-    searched = 1 + (before != own) + ((after != own) & (after != before))
+    apart = jnp.stack([before != own, (after != own) & (after != before)])
+    searched = 1 + jnp.sum(apart, dtype=jnp.int32)
     here, *ends = (
         in_span(curve, i, u)[0]
         for i, u in ((own, u_own), (before, knots[before]), (after, knots[after + 1]))
