@@ -34,6 +34,18 @@ def spans(curve: Nurbs) -> np.ndarray:
     return index[np.diff(curve.knots)[index] > 0]
 
 
+def moving_spans(curve: Nurbs) -> np.ndarray:
+    """Indices of the spans that have a length, (spans,) int32, in order.
+
+    One whose control points are all equal, to 1e-12 of the extent of the curve, has none: two
+    equal points in a row of a polyline.
+    """
+    used, points = spans(curve), curve.control_points
+    active = points[used[:, None] + np.arange(-degree(curve), 1)]
+    size = np.ptp(active, axis=1).max(axis=-1)
+    return used[size > 1e-12 * np.ptp(points, axis=0).max()]
+
+
 def _integral(curve: Nurbs, span: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Arc length (m,) between a and b (m,), each pair inside its span (m,)."""
     x, w = np.polynomial.legendre.leggauss(ORDER)

@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from jaxstage.model.fields import pytree, signal
-from jaxstage.references.arc import ArcTable, arc_at, host_frame, parameter_at, spans
+from jaxstage.references.arc import ArcTable, arc_at, host_frame, moving_spans, parameter_at
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 
 CORNER = 1e-6  # rad
@@ -73,7 +73,7 @@ def _smooth_pieces(curve: Nurbs) -> tuple[list[np.ndarray], bool]:
 
     Span i + spans is span i of the next lap: the last piece may run over the closure.
     """
-    used = spans(curve)
+    used = moving_spans(curve)
     _, out, _ = host_frame(curve, used, curve.knots[used])
     _, into, _ = host_frame(curve, used, curve.knots[used + 1], side=-1)
     into = np.roll(into, 1, axis=0)
@@ -91,7 +91,7 @@ def _hermite(
     curve: Nurbs, table: ArcTable, i: int, bounds: np.ndarray, step: float
 ) -> tuple[Segments, float]:
     """Equal segments of at most ``step`` m over span number i, and their largest error in m."""
-    span, (start, end) = spans(curve)[i], bounds[i : i + 2]
+    span, (start, end) = moving_spans(curve)[i], bounds[i : i + 2]
     count = int(np.ceil((end - start) / step * (1 - 1e-12)))
     h = (end - start) / count
     u = parameter_at(curve, table, start + h * np.arange(1, count))[1]
@@ -116,7 +116,7 @@ def lap_table(curve: Nurbs, table: ArcTable) -> LapTable:
         curve: in float64.
         table: its `arc_table`.
     """
-    bounds = arc_at(curve, table, curve.knots[np.append(spans(curve), len(curve.weights))])
+    bounds = arc_at(curve, table, curve.knots[np.append(moving_spans(curve), len(curve.weights))])
     pieces, endless = _smooth_pieces(curve)
     count, length = len(bounds) - 1, bounds[-1]
     least = 4 * length / MOST_SEGMENTS

@@ -270,3 +270,29 @@ def test_host_points_follow_the_path():
     path = make_path(bowknot(), constant_feed(5000.0, 1e-3))
     u = ticks(bowknot(), constant_feed(5000.0, 1e-3)).u
     np.testing.assert_allclose(path.setpoint.position, points(bowknot(), u), atol=1e-16)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("place", [0, 1, 2, 3])
+@pytest.mark.parametrize("closed", [False, True])
+def test_two_equal_points_in_a_row_leave_the_polyline_as_it_is(place, closed):
+    """A triangle of 40, 30 and 50 mm, or a U: exact length, the same setpoints, nearest points."""
+    corners = [(0, 0), (0.04, 0), (0.04, 0.03), (0.0, 0.0 if closed else 0.03)]
+    twice = [*corners[: place + 1], *corners[place:]]
+    line = lambda points: nurbs(points, [0, *range(len(points)), len(points) - 1], degree=1)  # noqa: E731
+    for timing in (constant_feed(1200, 1e-3), uniform_parameter(1.0, 1e-3)):
+        plain, path = make_path(line(corners), timing), make_path(line(twice), timing)
+        exact = np.linalg.norm(np.diff(np.array(corners), axis=0), axis=1).sum()
+        np.testing.assert_allclose(path.length, exact, rtol=1e-14)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(path))
+        np.testing.assert_allclose(np.linalg.norm(path.setpoint.tangent, axis=1), 1, rtol=1e-12)
+        if timing is constant_feed(1200, 1e-3):
+            np.testing.assert_allclose(path.setpoint.position, plain.setpoint.position, atol=1e-15)
+            np.testing.assert_allclose(path.setpoint.velocity, plain.setpoint.velocity, atol=1e-12)
+            tool = plain.setpoint.position[700] + 1e-4
+            for kept in (plain, path):
+                near = sampled.nearest(kept, jnp.asarray(700), tool)
+                assert near.distance > 0
+            np.testing.assert_allclose(
+                near.point, sampled.nearest(plain, jnp.asarray(700), tool).point, atol=1e-14
+            )
