@@ -16,10 +16,10 @@ from jax import Array
 
 from jaxstage.model.blocks import Reference
 from jaxstage.model.fields import param, pytree, replace
-from jaxstage.model.signals import Nearest
+from jaxstage.model.signals import Nearest, Setpoint
 from jaxstage.numerics.geometry import norm
 from jaxstage.references.checked import finite
-from jaxstage.references.motion import analytic
+from jaxstage.references.motion import analytic, float_kind, time_of
 
 
 @pytree
@@ -59,6 +59,11 @@ def _position(curve: Helix, time: Array) -> Array:
     )
 
 
+def _turn(curve: Helix) -> Array:
+    turning = curve.turn_rate != 0
+    return jnp.where(turning, 2 * jnp.pi / jnp.where(turning, curve.turn_rate, 1), jnp.inf)
+
+
 @cache
 def helical(dt: float) -> Reference[Helix]:
     """Helical motion, computed in the tick; axes x, y, z; parameters `Helix`.
@@ -68,12 +73,25 @@ def helical(dt: float) -> Reference[Helix]:
     Args:
         dt: control period in s.
     """
-    motion = analytic("helical", _position, dt)
+    motion = analytic("helical", _position, dt, _turn)
+
+    def risen(curve: Helix, tick: Array) -> Array:
+        """Way along z in the turns before this one, (3,) m, where the time counts from the turn."""
+        if float_kind(curve) == jnp.float64:
+            return jnp.zeros(3)
+        before = time_of(curve, tick, dt) - time_of(curve, tick, dt, _turn)
+        return jnp.zeros(3, before.dtype).at[2].set(curve.climb_rate * before)
+
+    def sample(curve: Helix, tick: Array) -> Setpoint:
+        setpoint = motion.sample(curve, tick)
+        return replace(setpoint, position=setpoint.position + risen(curve, tick))
 
     def nearest(curve: Helix, tick: Array, tool: Array) -> Nearest:
-        point = motion.nearest(curve, tick, tool)
+        up_to = risen(curve, tick)
+        point = motion.nearest(curve, tick, tool - up_to)
+        point = replace(point, point=point.point + up_to)
         along, up = curve.radius * curve.turn_rate, curve.climb_rate
         speed = norm(jnp.stack([jnp.asarray(along), jnp.asarray(up)]))
         return replace(point, arc=point.arc + speed * jnp.asarray(tick).astype(speed.dtype) * dt)
 
-    return replace(motion, nearest=nearest)
+    return replace(motion, sample=sample, nearest=nearest)

@@ -53,6 +53,10 @@ def _raised_cosine(motion: Swing, time: Array) -> Array:
     return (motion.amplitude * (1 + jnp.cos(2 * jnp.pi * time / motion.period)))[None]
 
 
+def _period(motion: Swing) -> Array:
+    return motion.period
+
+
 def _constant(motion: StepMotion, time: Array) -> Array:
     return motion.height[None]
 
@@ -60,7 +64,7 @@ def _constant(motion: StepMotion, time: Array) -> Array:
 @functools.cache
 def swinging(dt: float) -> Reference[Swing]:
     """Raised-cosine motion of one axis; parameters `Swing`. dt: control period in s."""
-    return analytic("swinging", _raised_cosine, dt)
+    return analytic("swinging", _raised_cosine, dt, _period)
 
 
 @functools.cache

@@ -26,6 +26,7 @@ from jaxstage.model.fields import known, pytree
 from jaxstage.model.signals import Nearest, Setpoint
 from jaxstage.numerics.geometry import bend, norm
 from jaxstage.references.checked import positive
+from jaxstage.references.motion import time_of
 from jaxstage.references.nearest import project
 
 STEPS = 6  # Newton, exact to rounding
@@ -151,7 +152,7 @@ def trifolium(dt: float, phase: Phase = uniform_phase) -> Reference[Trifolium]:
     """
 
     def at(params: Trifolium, tick: Array) -> tuple[Array, Array, Array]:
-        return phase(params, jnp.asarray(tick).astype(jnp.asarray(params.radius).dtype) * dt)
+        return phase(params, time_of(params, tick, dt, lambda params: params.lap_time))
 
     def sample(params: Trifolium, tick: Array) -> Setpoint:
         angle, rate, rate_change = at(params, tick)
