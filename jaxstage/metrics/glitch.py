@@ -5,24 +5,44 @@ from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
+from jaxtyping import Bool, Float
 
 from jaxstage.metrics.tracking import drive_error, following_error
+from jaxstage.model.array_types import PerAxis
 from jaxstage.model.blocks import Metric
 from jaxstage.model.fields import definition, pytree, signal
 from jaxstage.model.signals import Sample, Setpoint
-from jaxstage.numerics.geometry import norm
 
 AXES = "(axes,)"
 
 
-def direction(velocity: Array) -> Array:
-    """Sign of each axis velocity, 0 below 1e-9 of the feed: rounding is not motion.
+#: axis speed in m/s at or below which an axis stands still: rounding of a setpoint at rest is less
+STANDSTILL = 1e-6
 
-    velocity: (..., axes) m/s.
+
+def reversed_at(direction: PerAxis, velocity: PerAxis) -> tuple[PerAxis, Array]:
+    """Whether an axis reverses: it moves against the direction of its last motion.
+
+    Setting off from rest is no reversal, and neither is a halt before going on.
+
+    Args:
+        direction: sign of the last motion, (axes,); 0 before the first one.
+        velocity: commanded, (axes,) m/s; up to `STANDSTILL` it is no motion.
+
+    Returns:
+        The direction after this tick, and a bool for each axis.
     """
-    feed = norm(velocity)[..., None]
-    return jnp.where(jnp.abs(velocity) > 1e-9 * feed, jnp.sign(velocity), jnp.zeros_like(velocity))
+    heading = jnp.where(
+        jnp.abs(velocity) > STANDSTILL, jnp.sign(velocity), jnp.zeros_like(velocity)
+    )
+    return jnp.where(heading != 0, heading, direction), heading * direction < 0
+
+
+def reversals(velocity: Float[Array, "ticks axes"]) -> Bool[Array, "ticks axes"]:
+    """The ticks at which each axis reverses, by `reversed_at`. velocity: commanded, m/s."""
+    _, turned = lax.scan(reversed_at, jnp.zeros_like(velocity[0]), velocity)
+    return turned
 
 
 @pytree
@@ -47,9 +67,7 @@ class DriveGlitch:
 class GlitchSums:
     """Peaks so far; the open one belongs to the last reversal."""
 
-    direction: Array = signal(
-        "1", "", "last direction of motion; 0 at rest so far, 2 not known yet", shape=AXES
-    )
+    direction: Array = signal("1", "", "sign of the last motion, 0 before it", shape=AXES)
     elapsed: Array = signal("s", "", "time since the reversal", shape=AXES)
     peak: Array = signal("m", "", "peak since the reversal", shape=AXES)
     total: Array = signal("m", "", "sum of the finished peaks", shape=AXES)
@@ -95,8 +113,7 @@ drive = ErrorSide(
 def quadrant_glitch(span: float = 0.1, side: ErrorSide = tool) -> Metric[GlitchSums, Any]:
     """Peak |e| within ``span`` seconds after each reversal of the commanded velocity, per axis.
 
-    A peak ends early at the next reversal; setting off from rest counts as one. NaN for an axis
-    that never reverses.
+    A peak ends early at the next reversal. NaN for an axis that never reverses.
 
     Args:
         span: time after a reversal that belongs to its peak, in s.
@@ -106,19 +123,17 @@ def quadrant_glitch(span: float = 0.1, side: ErrorSide = tool) -> Metric[GlitchS
     def init(setpoint: Setpoint) -> GlitchSums:
         zero = jnp.zeros_like(setpoint.position)
         return GlitchSums(
-            direction=zero + 2, elapsed=zero, peak=zero, total=zero, largest=zero, count=zero
+            direction=zero, elapsed=zero, peak=zero, total=zero, largest=zero, count=zero
         )
 
     def update(acc: GlitchSums, sample: Sample, dt: float) -> tuple[GlitchSums, None]:
-        heading = direction(sample.setpoint.velocity)
-        unknown = acc.direction == 2
-        turned = ~unknown & (heading != 0) & (heading != acc.direction)
+        direction, turned = reversed_at(acc.direction, sample.setpoint.velocity)
         elapsed = jnp.where(turned, jnp.zeros_like(acc.elapsed), acc.elapsed + dt)
         watched = turned | ((acc.count > 0) & (elapsed < span))
         error = jnp.where(watched, jnp.abs(side.error(sample)), jnp.zeros_like(acc.peak))
         peak = jnp.where(turned, error, jnp.maximum(acc.peak, error))
         return GlitchSums(
-            direction=jnp.where(unknown | (heading != 0), heading, acc.direction),
+            direction=direction,
             elapsed=elapsed,
             peak=peak,
             total=acc.total + jnp.where(turned, acc.peak, jnp.zeros_like(acc.peak)),

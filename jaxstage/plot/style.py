@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, ScalarFormatter
 
-from jaxstage.metrics.glitch import direction
+from jaxstage.metrics import glitch
 from jaxstage.plot.numbers import envelope, plain
 from jaxstage.plot.page import LARGE as LARGE
 from jaxstage.plot.page import NORMAL as NORMAL
@@ -138,11 +138,9 @@ def limit(ax: Axes, judged: np.ndarray, every: np.ndarray, factor: float, unit: 
 
 
 def reversals(view: View, axis: int) -> np.ndarray:
-    """Ticks of the judged part at which the commanded velocity of an axis has changed sign."""
-    heading = np.asarray(direction(jnp.asarray(view.velocity)))[:, axis]
-    moving = np.flatnonzero(heading)
-    turned = moving[1:][np.diff(heading[moving]) != 0]
-    part = range(len(heading))[view.scored_ticks()]
+    """Ticks of the judged part at which an axis reverses, by the rule of the quadrant glitch."""
+    turned = np.flatnonzero(np.asarray(glitch.reversals(jnp.asarray(view.velocity)))[:, axis])
+    part = range(len(view.velocity))[view.scored_ticks()]
     return turned[(turned >= part.start) & (turned < part.stop)]
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import jaxstage as js
 from jaxstage import metrics
-from jaxstage.metrics import moments
+from jaxstage.metrics import glitch, moments
 from jaxstage.plants import pmsm_table
 from jaxstage.simulate.rollout import replay
 
@@ -139,10 +139,35 @@ def test_quadrant_glitch_finds_the_peak_after_each_reversal():
     assert np.isnan(got.glitch_max[1])
 
 
-def test_setting_off_from_rest_counts_as_a_reversal():
+def test_setting_off_from_rest_is_no_reversal():
+    """Nor is the error of a start beside the path a glitch."""
     velocity = np.stack([np.maximum(T - 0.1, 0), np.ones(N)], 1)
+    beside = np.stack([1e-3 * np.exp(-T / 0.05), np.zeros(N)], 1)
+    got = report(metrics.quadrant_glitch(), samples(beside, velocity=velocity))
+    np.testing.assert_array_equal(got.reversals, [0, 0])
+    assert np.isnan(got.glitch_max).all()
+
+
+@pytest.mark.parametrize("rest", [1e-17, 9e-7], ids=["double", "single"])
+def test_rounding_at_standstill_is_no_reversal(rest):
+    """Point to point: x goes on after a rest, y comes back after it; both shake while they rest."""
+    shaking = rest * (-1.0) ** np.arange(N)
+    going, resting = (T < 0.3) | (T > 0.7), (T >= 0.3) & (T <= 0.7)
+    x = np.where(going, 0.02, shaking)
+    y = np.where(resting, shaking, np.where(T < 0.5, 0.02, -0.02))
+    velocity = np.stack([x, y], 1)
     got = report(metrics.quadrant_glitch(), samples(np.zeros((N, 2)), velocity=velocity))
-    np.testing.assert_allclose(got.reversals, [1, 0])
+    np.testing.assert_array_equal(got.reversals, [0, 1])
+    turned = np.asarray(glitch.reversals(jnp.asarray(velocity)))
+    np.testing.assert_array_equal(np.flatnonzero(turned[:, 1]), [np.flatnonzero(T > 0.7)[0]])
+    assert not turned[:, 0].any()
+
+
+def test_a_slow_reversal_counts_above_the_threshold_only():
+    ramp = np.linspace(-1, 1, N)
+    velocity = np.stack([3e-6 * ramp, 0.9e-6 * ramp], 1)
+    got = report(metrics.quadrant_glitch(), samples(np.zeros((N, 2)), velocity=velocity))
+    np.testing.assert_array_equal(got.reversals, [1, 0])
 
 
 def test_window_covers_its_ticks_only():

@@ -27,6 +27,7 @@ from jaxstage.metrics import (
     amplitude_spectrum,
     drive,
     drive_error,
+    drive_following,
     quadrant_glitch,
     together,
     windowed,
@@ -114,11 +115,12 @@ def trace(shown: Callable[[Any], dict[str, Array]]) -> Metric:
 def traced(law: Composed, gains: Any, drives: Version, period: float = values.PERIOD) -> Case:
     """A composition on one version of the drive, to and fro for the published 12 s."""
     ticks = window(TIMING, round(TIMING.lap_time / TIMING.dt))
+    begin, span = (round(time / TIMING.dt) for time in (START, values.REVERSAL))
     peak = quadrant_glitch(values.REVERSAL, drive)
     metric = together(
         trace(law.shown),
-        windowed(peak, 0, round(START / TIMING.dt), name="start"),
-        windowed(peak, round(START / TIMING.dt), ticks.stop, name="reversals"),
+        windowed(drive_following, 0, span + 1, name="start"),
+        windowed(peak, begin, ticks.stop, name="reversals"),
     )
     return Case(
         name=law.controller.name,
@@ -224,8 +226,8 @@ def run_metrics(cases: Mapping[str, Case], periods: Mapping[str, float]) -> dict
             start = stop // 2
         rows = {key: np.asarray(row)[:, 0] for key, row in run.rows["trace"].items()}
         measured = metrics(rows, start, stop) | {
-            f"{part}_peak_um": float(run.report[part].drive_glitch_max[0]) * 1e6
-            for part in ("start", "reversals")
+            "start_peak_um": float(run.report["start"].drive_following_max[0]) * 1e6,
+            "reversals_peak_um": float(run.report["reversals"].drive_glitch_max[0]) * 1e6,
         }
         lost = not np.isfinite(rows["error"]).all()
         evidence[name] = dict.fromkeys(measured, None) if lost else measured
