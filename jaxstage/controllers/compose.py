@@ -62,7 +62,7 @@ def _on_axes(gains: Gains, axes: int) -> Gains:
     """Gains with a leading (axes,) on every leaf that has the shape of one axis."""
 
     def spread(quantity: Quantity, value: Array) -> Array:
-        rank = quantity.shape.count(",") + 1 if quantity.shape.strip("()") else 0
+        rank = len(quantity.sizes)
         return jnp.broadcast_to(value, (axes, *value.shape)) if value.ndim == rank else value
 
     return map_leaves(spread, gains)

@@ -17,6 +17,9 @@ from jaxstage.model.blocks import Drive, Memory
 from jaxstage.model.fields import param, part, pytree, signal
 from jaxstage.numerics.smooth import clamp
 
+#: dead time in periods; the commands on their way are memory of every run
+LONGEST_DELAY = 10_000
+
 
 @pytree
 class CurrentDrive:
@@ -49,10 +52,13 @@ def current_drive(max_delay: int = 0) -> Drive[CurrentDrive, CurrentMemory]:
         max_delay: largest dead time in periods, which sets the size of the memory.
 
     Raises:
-        ValueError: ``max_delay`` is negative.
+        ValueError: ``max_delay`` is negative, or over `LONGEST_DELAY`.
     """
-    if max_delay < 0:
-        raise ValueError(f"max_delay must be >= 0, got {max_delay}")
+    if not 0 <= max_delay <= LONGEST_DELAY:
+        raise ValueError(
+            f"max_delay = {max_delay:g} periods: must be 0 .. {LONGEST_DELAY}; every run keeps so "
+            f"many commands, here {8 * max_delay / 1e6:.3g} MB an axis"
+        )
 
     def init(params: CurrentDrive, demand: PerAxis) -> CurrentMemory:
         zero = jnp.zeros_like(demand)

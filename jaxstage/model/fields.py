@@ -68,6 +68,12 @@ class Quantity:
         """Number of display units in one SI unit."""
         return DISPLAY[self.shown][1] if self.shown != self.unit else 1.0
 
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """The sizes of the described shape, as words: ``("axes",)``, ``("3",)``, ``()``."""
+        words = (word.strip() for word in self.shape.strip("()").split(","))
+        return tuple(word for word in words if word)
+
     def range_text(self) -> str:
         """The allowed range in words, e.g. ``> 0 kg``."""
         unit = "" if self.unit == "1" else f" {self.unit}"

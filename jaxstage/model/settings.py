@@ -6,9 +6,10 @@ unique end of it will do, and the symbol in place of the field, ``plant.M``.
 
 import difflib
 import re
+import reprlib
 import textwrap
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -73,9 +74,19 @@ def resolve(
         return matches[0]
     if matches:
         raise ValueError(f"'{name}' may mean {', '.join(matches)}: write it in full")
-    raise ValueError(
-        f"unknown setting '{name}'{nearest_name(name, [*other_names, *_spellings(known)])}"
-    )
+    raise ValueError(f"unknown setting '{name}'{_hint(name, known, other_names)}")
+
+
+def _hint(
+    name: str, known: Mapping[str, tuple[Quantity, Any]], other_names: tuple[str, ...]
+) -> str:
+    """The nearest setting; where only the table of a dotted name is right, what it has."""
+    stem, _, field = name.rpartition(".")
+    fields = [full.removeprefix(f"{stem}.") for full in known if full.startswith(f"{stem}.")]
+    if not stem or not fields:
+        return nearest_name(name, [*other_names, *_spellings(known)])
+    close = difflib.get_close_matches(field, fields, n=1, cutoff=0.5)
+    return f"; did you mean '{stem}.{close[0]}'?" if close else f"; {stem} has {', '.join(fields)}"
 
 
 def _spellings(known: Mapping[str, tuple[Quantity, Any]]) -> list[str]:
@@ -141,9 +152,12 @@ def replaced(gains: Any, scenario: Scenario, path: str, value: Any) -> tuple[Any
 
 def _fill(path: str, value: Any, old: Any) -> Any:
     try:
+        if not _is_real(value):
+            raise TypeError
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{path} = {value}: must be a number, or one number per axis") from None
+        shown = reprlib.repr(value).strip("'")
+        raise ValueError(f"{path} = {shown}: must be a number, or one number per axis") from None
     shape = np.shape(old)
     if array.ndim == 1 and len(shape) > 1 and array.shape[0] == shape[0]:
         array = array.reshape(-1, *[1] * (len(shape) - 1))
@@ -155,6 +169,13 @@ def _fill(path: str, value: Any, old: Any) -> Any:
         return jnp.asarray(np.broadcast_to(array, shape), dtype=jnp.result_type(old))  # pyright: ignore[reportUnknownMemberType]
     except ValueError:
         raise ValueError(f"{path} takes {_sizes(shape)}, got {array.size} numbers") from None
+
+
+def _is_real(value: Any) -> bool:
+    """True for whole and real numbers, arrays and nested lists of them: no bool and no text."""
+    if isinstance(value, list | tuple):
+        return all(_is_real(item) for item in cast(Sequence[Any], value))
+    return np.asarray(value).dtype.kind in "iuf" or type(value) is int
 
 
 def _sizes(shape: tuple[int, ...]) -> str:
@@ -242,6 +263,10 @@ def read_toml(file: Path) -> TomlFile:
         end = f"at the end, line {len(text.splitlines())}"
         message = str(error).replace("at end of document", end)
         raise ValueError(f"{file}: {message}") from None
+    except ValueError as error:
+        if "digits" not in str(error):
+            raise
+        raise ValueError(f"{file}: a whole number has too many digits") from None
 
 
 def _flat(table: Mapping[str, Any], prefix: str) -> dict[str, Any]:

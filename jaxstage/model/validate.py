@@ -9,6 +9,7 @@ in its `Carry`.
 # pyright: reportUnknownLambdaType=false, reportUnknownVariableType=false
 
 import functools
+import reprlib
 from typing import Any
 
 import jax
@@ -23,6 +24,8 @@ from jaxstage.model.signals import Scenario
 
 #: in a tree of batch axes: a leaf that all runs share
 SHARED = -1
+#: plant steps in a control period; more would take hours for a second of motion
+MOST_SUBSTEPS = 10_000
 
 
 def check(
@@ -121,19 +124,32 @@ def strong(tree: Any, dtype: Any, root: str = "input") -> Any:
         root: begins the names.
 
     Raises:
-        ValueError: a leaf is no number.
+        ValueError: a leaf is no real number, or a field holds a list in the place of an array.
     """
+    for name, _, value in leaves(tree, root):
+        if value is None or isinstance(value, list | tuple | dict):
+            raise ValueError(f"{name} = {reprlib.repr(value)}: must be a number or an array")
 
     def convert(place: Any, leaf: Any) -> Any:
         if isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             return leaf
         try:
+            if not _is_real(leaf):
+                raise TypeError
             return jnp.asarray(leaf, dtype=dtype)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             name = f"{root}{jax.tree_util.keystr(place)}"
-            raise ValueError(f"{name} = {leaf!r}: must be a number or an array") from None
+            raise ValueError(
+                f"{name} = {reprlib.repr(leaf)}: must be a number or an array"
+            ) from None
 
     return jax.tree_util.tree_map_with_path(convert, tree)
+
+
+def _is_real(leaf: Any) -> bool:
+    """True for what is made of whole or real numbers: no bool, complex number or text."""
+    dtype = leaf.dtype if isinstance(leaf, jax.Array) else np.asarray(leaf).dtype
+    return jnp.issubdtype(dtype, jnp.integer) or jnp.issubdtype(dtype, jnp.floating)
 
 
 def _check_kinds(loop: Any, scenario: Any) -> None:
@@ -199,6 +215,7 @@ def check_loop(loop: Loop) -> None:
     for name, value, ok, allowed in (
         ("dt", loop.dt, np.isfinite(loop.dt) and loop.dt > 0, "> 0 s"),
         ("substeps", loop.substeps, loop.substeps >= 1, ">= 1"),
+        ("substeps", loop.substeps, loop.substeps <= MOST_SUBSTEPS, f"<= {MOST_SUBSTEPS}"),
         ("segment", loop.segment, loop.segment >= 0, ">= 0"),
         ("path_limit", loop.path_limit, loop.path_limit > 0, "> 0 m"),
     ):
@@ -254,10 +271,9 @@ def check_leaves(
 def _check_shape(
     path: str, quantity: Quantity, shape: tuple[int, ...], axes: tuple[str, ...], per_axis: bool
 ) -> None:
-    described = [d.strip() for d in quantity.shape.strip("()").split(",") if d.strip()]
-    if any(not d.isdigit() and d != "axes" for d in described):
+    if any(not size.isdigit() and size != "axes" for size in quantity.sizes):
         return  # a symbolic size: the array itself sets it
-    base = tuple(len(axes) if d == "axes" else int(d) for d in described)
+    base = tuple(len(axes) if size == "axes" else int(size) for size in quantity.sizes)
     allowed = [base, (len(axes), *base)] if per_axis else [base]
     if shape not in allowed:
         expected = " or ".join(str(s) for s in allowed)

@@ -70,8 +70,10 @@ def read_input(file: Path) -> str:
     if len(data) > LARGEST:
         raise ValueError(f"{file}: larger than {LARGEST / 1e6:g} MB")
     try:
+        if b"\0" in data:  # UTF-16 of plain letters
+            raise UnicodeError
         return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
+    except UnicodeError:
         raise ValueError(f"{file}: save it as UTF-8") from None
 
 

@@ -359,3 +359,33 @@ def test_a_path_without_numbers_takes_the_default_precision():
 
 def _fixed(params, time):
     return jnp.zeros(2) + time
+
+
+# --- what is no number -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "value",
+    [[1.0, 2.0], (1.0,), True, np.array([True, False]), jnp.array([True]), 1 + 2j, "200", None],
+    ids=str,
+)
+def test_a_gain_that_is_no_number_is_refused_by_name(value):
+    gains = replace(GAINS, **{"slope": value})
+    with pytest.raises(ValueError, match=r"gains\.slope = .*: must be a number or an array"):
+        check(LOOP, gains, SCENE, PATH)
+
+
+@pytest.mark.fast
+def test_whole_numbers_and_numpy_numbers_are_gains():
+    loop, scene, path = table_loop(per_axis(pi))
+    gains = pi_gains()
+    whole = replace(gains, **{"slope": np.int64(3)})
+    got, _, _ = check(loop, whole, scene, path)
+    assert float(got.slope) == 3.0 and got.slope.dtype == jnp.float64
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("substeps", [10_001, 10**6])
+def test_substeps_without_end_are_refused(substeps):
+    with pytest.raises(ValueError, match=f"loop.substeps = {substeps}: must be <= 10000"):
+        check(replace(LOOP, substeps=substeps), GAINS, SCENE, PATH)

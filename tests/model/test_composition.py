@@ -21,7 +21,7 @@ from jaxstage.controllers import (
 )
 from jaxstage.metrics import tracking
 from jaxstage.model.blocks import Controller
-from jaxstage.model.fields import pytree, replace, signal
+from jaxstage.model.fields import gain, pytree, replace, signal
 from jaxstage.simulate.rollout import simulate
 from jaxstage.studies import Timing, build, with_metric
 from jaxstage.studies.fuzzy_cmac.loops import LAWS, cascade_gains
@@ -164,3 +164,28 @@ def test_a_composition_runs_as_its_parts():
     plain = simulate(loop, cascade_gains(), scenario, path, 300)
     wrapped = simulate(replace(loop, controller=composed), gains, scenario, path, 300)
     np.testing.assert_allclose(wrapped.report.ate, plain.report.ate, rtol=1e-9)
+
+
+@pytree
+class Weighted:
+    """A gain with three entries an axis, as a tuple of one size is written."""
+
+    weights: jax.Array = gain("1/s", "w", "weights", shape="(3,)")
+
+
+def test_a_gain_of_one_described_size_is_spread_over_the_axes():
+    law = Controller(
+        name="weighted",
+        init=lambda gains, setpoint, measurement: (),
+        control=lambda gains, memory, setpoint, measurement, dt: (
+            jnp.sum(gains.weights) * setpoint.position,
+            (),
+        ),
+    )
+    setpoint, measured = bench(MOVING)
+    gains = Weighted(weights=jnp.array([1.0, 2.0, 3.0]))
+    demand, _ = per_axis(law).control(gains, (), setpoint, measured, 1e-3)
+    np.testing.assert_allclose(demand, 6 * setpoint.position)
+    own = Weighted(weights=jnp.array([[1.0, 2.0, 3.0], [0.0, 0.0, 1.0]]))
+    demand, _ = per_axis(law).control(own, (), setpoint, measured, 1e-3)
+    np.testing.assert_allclose(demand, np.array([6.0, 1.0]) * setpoint.position)

@@ -1,6 +1,8 @@
 """Settings by name and from files: what a user types reaches the leaf that is meant."""
 
+import os
 import tomllib
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -110,6 +112,14 @@ def test_ambiguity_names_all_candidates():
 def test_a_misspelt_name_brings_the_nearest(typed, meant):
     with pytest.raises(ValueError, match=f"unknown setting '{typed}'; did you mean '{meant}'"):
         resolve(typed, KNOWN, ("lap_time", "dt"))
+
+
+def test_a_wrong_field_of_a_right_table_is_told_what_there_is():
+    """Not what shares the table's name and nothing else."""
+    with pytest.raises(ValueError, match=r"'plant.foo'; plant has force_constant, mass, damping,"):
+        resolve("plant.foo", KNOWN)
+    with pytest.raises(ValueError, match=r"did you mean 'plant.mass'"):
+        resolve("plant.mas", KNOWN)
 
 
 def test_nothing_is_near():
@@ -391,3 +401,61 @@ def test_rows_of_an_array_stand_on_lines():
 
 def test_every_leaf_has_a_symbol_or_is_no_setting():
     assert all(q.symbol for _, q, _ in leaves(GAINS)), "a setting without symbol"
+
+
+# --- what a file may be ----------------------------------------------------------------------
+
+WHOLE = "1" * 400
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("[gains]\nmass = 1.0\n# \u00fc\n".encode("cp1252"), r": save it as UTF-8"),
+        ("[gains]\n".encode("utf-16"), r": save it as UTF-8"),
+        ("[gains]\n".encode("utf-16-le"), r": save it as UTF-8"),
+        (b"x = " + b"[" * 2000 + b"]" * 2000, r": tables or lists are nested too deep"),
+        (b"x = " + b"1" * 5000, r": a whole number has too many digits"),
+        (b"#" * 10_000_001, r": larger than 10 MB"),
+    ],
+    ids=["cp1252", "utf-16", "utf-16 without a mark", "deep", "digits", "large"],
+)
+def test_a_file_that_is_no_settings_is_one_line(tmp_path, content, says):
+    file = tmp_path / "gains.toml"
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match=says) as caught:
+        read_toml(file)
+    assert str(caught.value).startswith(str(file)) and "\n" not in str(caught.value)
+
+
+def test_a_byte_order_mark_is_read(tmp_path):
+    file = tmp_path / "gains.toml"
+    file.write_bytes(b"\xef\xbb\xbf[plant]\r\nmass = 2.5\r\n")
+    toml = read_toml(file)
+    assert toml.values == {"plant.mass": 2.5}
+    assert toml.place("plant.mass") == f"{file}:2"
+
+
+def test_an_open_pipe_is_read_once():
+    """As the shell gives it: ``--gains <(...)``."""
+    reader, writer = os.pipe()
+    try:
+        os.write(writer, b"[plant]\nmass = 2.5\n")
+        os.close(writer)
+        assert read_toml(Path(f"/dev/fd/{reader}")).values == {"plant.mass": 2.5}
+    finally:
+        os.close(reader)
+
+
+def test_a_device_without_end_is_refused():
+    with pytest.raises(ValueError, match="/dev/zero: larger than 10 MB"):
+        read_toml(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize(
+    "value", [True, "200", [1.0, True], int(WHOLE), [["1", "2"]], 1j, None], ids=str
+)
+def test_only_numbers_are_settings(value):
+    with pytest.raises(ValueError, match=r"plant.mass = .*: must be a number, or one") as caught:
+        apply(GAINS, SCENE, {"plant.mass": value})
+    assert len(str(caught.value)) < 120

@@ -248,5 +248,12 @@ def test_drive_memory_keeps_its_kind(dtype):
 def test_equal_drives_are_one_definition():
     assert current_drive(3) is current_drive(3)
     assert current_drive(3).max_delay == 3
-    with pytest.raises(ValueError, match="max_delay must be >= 0, got -1"):
+    with pytest.raises(ValueError, match=r"max_delay = -1 periods: must be 0 .. 10000"):
         current_drive(-1)
+
+
+def test_a_dead_time_without_end_is_refused_with_its_memory():
+    says = r"max_delay = 1e\+09 periods: must be 0 .. 10000; .* 8e\+03 MB an axis"
+    with pytest.raises(ValueError, match=says):
+        current_drive(10**9)
+    assert current_drive(10_000).max_delay == 10_000

@@ -204,4 +204,4 @@ def _number(name: str, value: Any) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise ValueError(f"{name}: a number of {value.bit_length()} bits, must be finite") from None
+        raise ValueError(f"{name}: must be finite, has {int(value).bit_length()} bits") from None
