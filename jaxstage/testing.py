@@ -53,9 +53,12 @@ def bench(case: Any, dtype: Any = jnp.float64, axes: int = 2) -> Pair:
     error, rate, velocity, acceleration = sized
     position = jnp.asarray(np.resize([0.02, -0.01], axes))
     setpoint = Setpoint(
-        position=position, velocity=velocity, acceleration=acceleration,
-        tangent=jnp.eye(axes)[0], curvature=jnp.zeros(()),
-    )  # fmt: skip
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        tangent=jnp.eye(axes)[0],
+        curvature=jnp.zeros(()),
+    )
     x, v = position - error, velocity - rate
     seen = Measurement(position=x, velocity=v, drive_position=x, drive_velocity=v)
     return cast(setpoint, dtype), cast(seen, dtype)

@@ -216,6 +216,21 @@ def test_no_module_is_long(file):
     assert len(file.read_text(encoding="utf-8").splitlines()) <= 400
 
 
+@pytest.mark.fast
+def test_a_class_name_is_defined_once():
+    where: dict[str, list[str]] = {}
+    for file, tree in TREES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                where.setdefault(node.name, []).append(module(file))
+    assert not {name: files for name, files in where.items() if len(files) > 1}
+
+
+@each_file
+def test_the_formatter_decides_the_layout(file):
+    assert "fmt: " + "skip" not in file.read_text(encoding="utf-8")
+
+
 @each_file
 def test_two_kinds_of_object_nothing_else(file):
     """No inheritance but by what is raised, no work in constructors, no rule that forward mode

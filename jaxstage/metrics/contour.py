@@ -16,7 +16,7 @@ from jaxstage.numerics.geometry import norm, normal_part
 
 
 @pytree
-class ContourError:
+class ContourMetrics:
     """True contour error: distance to the nearest point of the curve on the local branch.
 
     Where the following error exceeds the arc length searched (the reference's window) the nearest
@@ -46,8 +46,8 @@ def _distances(sample: Sample, dt: float) -> tuple[Array, Array]:
     return distance, beyond.astype(distance.dtype)
 
 
-def _report(error: Moments, beyond: Moments) -> ContourError:
-    return ContourError(
+def _report(error: Moments, beyond: Moments) -> ContourMetrics:
+    return ContourMetrics(
         contour_rms=moments.rms(error),
         contour_mean=moments.mean(error),
         contour_max=moments.largest(error),
@@ -67,7 +67,7 @@ def _tangent_report(error: Moments) -> TangentContour:
     )
 
 
-#: True contour error; report `ContourError`.
+#: True contour error; report `ContourMetrics`.
 contour = moments_of(
     "contour", _distances, _report, lambda setpoint: moments.one_number(setpoint) * 2
 )
