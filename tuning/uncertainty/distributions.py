@@ -204,4 +204,5 @@ def _number(name: str, value: Any) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise ValueError(f"{name}: must be finite, has {int(value).bit_length()} bits") from None
+        bits = int(value).bit_length()
+        raise ValueError(f"{name}: a number of {bits} bits, must be finite") from None
