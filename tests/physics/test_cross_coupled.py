@@ -239,9 +239,12 @@ def test_without_disturbance_and_offset_there_is_no_error(smoothly):
 
 
 def test_from_a_metre_beside_the_path(smoothly):
-    """Without anti-windup (in the equations there is none) the PID coupling runs away."""
+    """Without anti-windup (in the equations there is none) the PID coupling runs away.
+
+    The distances are the local minima downhill, by a dense search along the helix.
+    """
     end = {name: smoothly[f"far, {name}"].distance[-1] * 1e-6 for name in ("none", "pid")}
-    np.testing.assert_allclose([end["pid"], end["none"]], [79.0, 0.45], rtol=1e-2)
+    np.testing.assert_allclose([end["pid"], end["none"]], [75.8515, 0.429678], rtol=3e-4)
     assert smoothly["far, adaptive"].distance[-1] * 1e-6 < 0.2
 
 
