@@ -5,7 +5,7 @@
     js.configure(precision="double")
     case = js.build("dfcmac-circle")
     run = case.simulate()
-    run.report["scored"]["contour"].contour_rms
+    run.report["contour"].contour_rms
 
 model        blocks (every signature on one page), signals, fields, settings, validation
 plants       machines                            controllers  control laws and compositions

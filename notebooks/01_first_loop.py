@@ -80,7 +80,7 @@ plot.surface(shown)
 #
 # A steeper surface brings the error back faster. The simulation is an ordinary function of its
 # gains, so `jax.vmap` runs it for several slopes c1 in one go. Only the contour error is asked for:
-# figures that nobody reads cost time.
+# metrics that nobody reads cost time.
 
 
 # %%

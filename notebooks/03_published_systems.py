@@ -20,7 +20,7 @@
 # # The four published systems
 #
 # Four papers, four machines, and everything their authors claim: each claim is a predicate with a
-# threshold on figures that experiments compute. This notebook lists every claim with its verdict,
+# threshold on metrics that experiments compute. This notebook lists every claim with its verdict,
 # then computes some of the verdicts anew.
 
 # %%
@@ -88,7 +88,7 @@ display(tabs)
 # %% [markdown]
 # ## Computing verdicts again
 #
-# An experiment simulates what some claims need and gives *evidence*: figures by name. `judge` holds
+# An experiment simulates what some claims need and gives *evidence*: metrics by name. `judge` holds
 # a claim against it. A claim whose evidence is not there is left out here.
 
 # %%
@@ -114,7 +114,7 @@ for one in found:
 assert all(one.verdict == stored[AGAIN][one.id] for one in found)
 
 # %% [markdown]
-# And as one picture: dots are our figure over the published one.
+# And as one picture: dots are our value over the published one.
 
 # %%
 plot.claims(study.title, tuple(found))

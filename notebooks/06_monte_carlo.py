@@ -89,7 +89,7 @@ pictures["distribution"]
 # %% [markdown]
 # ## Which value matters
 #
-# Each panel is one uncertain value against the figure; plants that fail are marked. A slope says
+# Each panel is one uncertain value against the metric; plants that fail are marked. A slope says
 # that the value matters, a cloud that it does not.
 
 # %%

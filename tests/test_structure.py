@@ -336,7 +336,7 @@ def test_figures_have_names_of_their_own():
         assert all(isinstance(q, Quantity) and q.doc for _, q, _ in leaves(report))
     assert sorted(seen) == sorted(set(seen))
     both = {"a": metrics[0].finish(metrics[0].init(first))}
-    with pytest.raises(ValueError, match="two figures are called"):
+    with pytest.raises(ValueError, match="two metrics are called"):
         columns(both | {"b": both["a"]}, pmsm_table())
 
 

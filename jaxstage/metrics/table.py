@@ -17,7 +17,7 @@ _UNIT = re.compile(
 
 
 def key(name: str, unit: str) -> str:
-    """The key of a figure: its name and the unit it is shown in, e.g. ``_A_per_s`` or ``_Nm``."""
+    """The key of a metric: its name and the unit it is shown in, e.g. ``_A_per_s`` or ``_Nm``."""
     suffix = {"1": "", "%": "percent"}.get(unit, unit)
     suffix = re.sub("[ ()]", "", suffix.replace("/", "_per_"))
     return f"{name}_{suffix}" if suffix else name
@@ -84,7 +84,7 @@ def columns(report: Any, plant: Plant) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for metric in reported_metrics(jax.tree.map(lambda x: np.asarray(x, float), report), plant):
         if metric.key in table:
-            raise ValueError(f"two figures are called {metric.key}")
+            raise ValueError(f"two metrics are called {metric.key}")
         by_axis = {axis: _finite(value) for axis, value in metric.by_axis().items()}
         table[metric.key] = by_axis if metric.axes else _finite(metric.values)
     return table

@@ -1,4 +1,4 @@
-"""One control period: observe, sense, control, limit, settle, delay, substeps, metric."""
+"""One control period: observe, sense, control, drive, settle, plant, metric."""
 
 # what JAX gives is partly untyped
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false

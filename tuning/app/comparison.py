@@ -38,7 +38,7 @@ def find_study(name: str) -> Study:
 
 
 class OtherGains(NamedTuple):
-    """A loop with the gains of its study and with those of a file: the scored figures of both.
+    """A loop with the gains of its study and with those of a file: the scored metrics of both.
 
     refused: why the tuning that gave the file did not accept its gains."""
 

@@ -24,7 +24,7 @@ MOST = 4
 def bar(
     metric: str, total: int, kept: pa.Table | None = None
 ) -> Iterator[Callable[[SweepProgress], None]]:
-    """A bar on standard error: runs per second, time left, lost runs, worst figure so far.
+    """A bar on standard error: runs per second, time left, lost runs, worst metric so far.
 
     kept: rows that were there before, of an earlier sweep into the folder.
     """
@@ -56,7 +56,7 @@ def bar(
 
 
 def _lost_and_worst(rows: pa.Table, metric: str) -> tuple[int, float]:
-    """Runs that were lost, and the largest figure of the others."""
+    """Runs that were lost, and the largest metric of the others."""
     finite, values = (rows[c].to_numpy() for c in ("finite", metric))
     largest = np.max(values, initial=-np.inf, where=np.isfinite(values))
     return int((~finite).sum()), float(largest)

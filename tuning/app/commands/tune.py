@@ -31,7 +31,7 @@ class TuneOptions:
     ] = field(default_factory=list)
     objective: Annotated[
         str | None,
-        typer.Option(help='Sum of weight * figure / scale: "contour_rms_um + 0.1*energy_J".'),
+        typer.Option(help='Sum of weight * metric / scale: "contour_rms_um + 0.1*energy_J".'),
     ] = None
     goals: Annotated[
         list[str],

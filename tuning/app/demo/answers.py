@@ -115,7 +115,7 @@ def _winner(pair: Row) -> str:
 
 
 def picture(folder: Path, answer: Row) -> Path:
-    """plants.png: how the figure is distributed over the plants, under both laws, before and
+    """plants.png: how the metric is distributed over the plants, under both laws, before and
     after."""
     name, unit = split_key(stages.METRIC)
     settings = (

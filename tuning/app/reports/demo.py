@@ -16,7 +16,7 @@ from tuning.app.result_table import (
     words,
 )
 
-#: figures of the machine as it is assumed to be
+#: metrics of the machine as it is assumed to be
 NOMINAL = ("contour_rms_um", "contour_max_um", "energy_J")
 
 
@@ -114,7 +114,7 @@ def _texts(answer: Row) -> dict[str, str]:
     texts = {f"run/{n}/contour": f"{n}, published gains. {run.TEXTS['contour']}" for n in names}
     texts |= {f"tune/{n}/error": f"{n}. {tuning.TEXTS['error']}" for n in names}
     texts["plants"] = (
-        "How the figure is distributed over the plants: the further left a curve rises, the "
+        "How the metric is distributed over the plants: the further left a curve rises, the "
         "better; a steep one says that the law does not care which machine it gets."
     )
     for when in ("published", "tuned"):
@@ -122,7 +122,7 @@ def _texts(answer: Row) -> dict[str, str]:
         if pair:
             texts[f"{when}/{pair['first']}-against-{pair['second']}"] = (
                 f"Each dot is one plant at {when} gains: below the diagonal {pair['second']} has "
-                "the smaller figure."
+                "the smaller metric."
             )
     for picture in ("history", "parameters"):
         texts |= {f"tune/{n}/{picture}": f"{n}. {tuning.TEXTS[picture]}" for n in names}

@@ -73,5 +73,5 @@ def metrics(result: Mapping[str, Any]) -> ResultTable:
         {"scored": result["metrics"], "whole run": result["metrics_whole_run"]},
         decimal,
         title="Figures",
-        note="The whole run includes the start transient. A dash: no such figure.",
+        note="The whole run includes the start transient. A dash: no such metric.",
     )

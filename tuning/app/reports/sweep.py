@@ -179,12 +179,12 @@ def _numbers(spread: Row) -> Iterator[tuple[str, Any]]:
 def _texts(summary: Row) -> dict[str, str]:
     """Picture -> how to read it."""
     texts = {
-        "distribution": "How the figure is distributed over the plants, with the limit of the "
+        "distribution": "How the metric is distributed over the plants, with the limit of the "
         "specification: the further left a curve rises, the better the law."
     }
     for loop in (x["loop"] for x in summary["loops"]):
         texts |= {
-            f"{loop}-parameters": f"{loop}: each uncertain value against the figure; a slope says "
+            f"{loop}-parameters": f"{loop}: each uncertain value against the metric; a slope says "
             "that it matters, marked plants fail.",
             f"{loop}-indices": f"{loop}: share of the variance by a value alone, and with all its "
             "interactions.",
@@ -193,7 +193,7 @@ def _texts(summary: Row) -> dict[str, str]:
         }
     for c in summary["comparisons"]:
         texts[f"{c['first']}-against-{c['second']}"] = (
-            f"Each dot is one plant: below the diagonal {c['second']} has the smaller figure."
+            f"Each dot is one plant: below the diagonal {c['second']} has the smaller metric."
         )
     return texts
 

@@ -75,7 +75,7 @@ def verdict(answer: Row) -> Iterator[str]:
 
 
 def held_out(stated: Row) -> str:
-    """A figure of runs that the search never saw, before and after, in one sentence."""
+    """A metric of runs that the search never saw, before and after, in one sentence."""
     name, unit = split_key(stated["figure"])
     change = stated["change"]
     if change is None and stated["after"] is not None:
@@ -152,14 +152,14 @@ def metrics(answer: Row, named: tuple[str, ...] = ("",)) -> ResultTable:
             rows.append({"metric": f"{name} {axis}".strip(), "unit": unit, **dict(values)})
     return ResultTable(
         (
-            Column("metric", "figure"),
+            Column("metric", "metric"),
             *(numeric(head, head) for head in heads),
             Column("unit", "unit"),
         ),
         [row for row in rows if row["metric"].startswith(named)],
         title="Figures",
         note="Of the loop itself, and means over the held-out runs that neither gains lost. A "
-        "dash: no such figure.",
+        "dash: no such metric.",
     )
 
 
@@ -180,7 +180,7 @@ def diagnostics(answer: Row) -> ResultTable:
         (Column("question", "question"), Column("answer", "answer")),
         [{"question": q, "answer": told} for q, told in _diagnostics(answer["diagnostics"])],
         title="What the result rests on",
-        note="What runs give is the first figure of the objective, their mean.",
+        note="What runs give is the first metric of the objective, their mean.",
     )
 
 
