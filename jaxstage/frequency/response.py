@@ -54,7 +54,7 @@ class Modal(NamedTuple):
     left: np.ndarray
     right: np.ndarray
 
-    def __call__(self, omega: np.ndarray) -> np.ndarray:
+    def at(self, omega: np.ndarray) -> np.ndarray:
         """(..., outputs, inputs) at omega (...) in rad/s."""
         omega = np.asarray(omega, float)
         z = np.exp(1j * omega * float(self.model.dt))[..., None]
@@ -100,13 +100,13 @@ def _closure(arrows: np.ndarray, begin: np.ndarray) -> np.ndarray:
 
 def sensitivity(model: LinearModel) -> Callable[[np.ndarray], np.ndarray]:
     """S as a function of omega (w,) in rad/s: (w, axes, axes), on the host."""
-    return modal(model.between("cut", "cut"))
+    return modal(model.between("cut", "cut")).at
 
 
 def tracking(model: LinearModel, feedforward: bool = True) -> Callable[[np.ndarray], np.ndarray]:
     """Tool against setpoint: (w, axes, axes). feedforward: with r' and r'', else r alone."""
     names = ("position", "velocity", "acceleration")
-    parts = [modal(model.between("tool", name)) for name in names]
+    parts = [modal(model.between("tool", name)).at for name in names]
 
     def at(omega: np.ndarray) -> np.ndarray:
         w = np.asarray(omega, float)[..., None, None]
@@ -118,5 +118,5 @@ def tracking(model: LinearModel, feedforward: bool = True) -> Callable[[np.ndarr
 
 def compliance(model: LinearModel) -> Callable[[np.ndarray], np.ndarray]:
     """Tool displacement per external force in m/N: (w, axes, axes)."""
-    part = modal(model.between("tool", "force"))
+    part = modal(model.between("tool", "force")).at
     return lambda omega: -part(omega)

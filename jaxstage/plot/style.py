@@ -9,8 +9,9 @@ from itertools import cycle, islice
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter, ScalarFormatter
+from matplotlib.ticker import FuncFormatter, LogFormatter, ScalarFormatter
 
 from jaxstage.metrics import glitch
 from jaxstage.plot.numbers import envelope, plain
@@ -39,12 +40,16 @@ def figure(view: View, title: str, size: tuple[float, float], above: float = 0.0
     return page(f"{view.name}: {title}", view.verdict, view.footer, size, colour, above)
 
 
-class PlainLogFormatter(LogFormatter):
-    """Ticks of a logarithmic axis as plain numbers, the same ticks as without."""
+def plain_ticks(side: Axis) -> FuncFormatter:
+    """Ticks of a logarithmic axis as plain numbers: those that matplotlib would label."""
+    labelled = LogFormatter()
+    labelled.set_axis(side)
 
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        """The label of a tick; empty where there is no room for one."""
-        return plain(x) if super().__call__(x, pos) else ""
+    def label(x: float, pos: int | None = None) -> str:
+        labelled.set_locs()
+        return plain(x) if labelled(x, pos) else ""
+
+    return FuncFormatter(label)
 
 
 def dress(ax: Axes, x: str, y: str) -> None:
@@ -55,8 +60,8 @@ def dress(ax: Axes, x: str, y: str) -> None:
     for side in (ax.xaxis, ax.yaxis):
         ticks = side.get_major_formatter()
         if isinstance(ticks, LogFormatter):
-            side.set_major_formatter(PlainLogFormatter())
-            side.set_minor_formatter(PlainLogFormatter())
+            side.set_major_formatter(plain_ticks(side))
+            side.set_minor_formatter(plain_ticks(side))
         elif isinstance(ticks, ScalarFormatter):
             ticks.set_useOffset(False)
             ticks.set_powerlimits((-4, 6))

@@ -91,7 +91,7 @@ def test_the_fuzzy_cmac_adapts_and_switches():
     assert len(small.a) < len(seen.model.a) / 2, "cells that are not active are left out"
     few = seen.omega[::400]
     whole = np.asarray(response(seen.model.between("cut", "cut"), jnp.asarray(few)))
-    assert np.abs(modal(seen.model.between("cut", "cut"))(few) - whole).max() < 1e-8
+    assert np.abs(modal(seen.model.between("cut", "cut")).at(few) - whole).max() < 1e-8
 
 
 def test_many_plants_at_once(cascade):
@@ -155,7 +155,7 @@ def test_the_model_for_other_tools(cascade):
     """python-control and scipy give the same response."""
     _, seen = cascade
     few = np.array([30.0, 300.0, 3000.0])
-    ours = modal(seen.model)(few)
+    ours = modal(seen.model).at(few)
     theirs = js.frequency.to_control(seen.model, seen.axes)
     assert theirs.input_labels[:2] == ["cut_x", "cut_y"]
     assert np.abs(np.moveaxis(theirs(np.exp(1j * few * seen.model.dt)), -1, 0) - ours).max() < 1e-9
