@@ -120,26 +120,3 @@ def parameter_at(curve: Nurbs, table: ArcTable, arc: np.ndarray) -> tuple[np.nda
         if done:
             break
     return span, u
-
-
-def host_frame(
-    curve: Nurbs, span: np.ndarray, u: np.ndarray, side: int = 1
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Point (m, axes), unit tangent (m, axes) and curvature (m,) 1/m >= 0.
-
-    Where C' = 0 the tangent is that of side * C'', or else points to a place just inside the
-    span, where the curvature is then taken. side: 1 right limit, -1 left limit.
-    """
-    value, first, second = in_span(curve, span, u)
-    size = np.ptp(curve.control_points, axis=0).max()
-    width = curve.knots[span + 1] - curve.knots[span]
-    small = (np.linalg.norm(first, axis=-1) * width < 1e-10 * size)[:, None]
-    inside = in_span(curve, span, u + side * 1e-3 * width)
-    bent = np.linalg.norm(second, axis=-1, keepdims=True) * width[:, None] ** 2 > 1e-10 * size
-    other = np.where(bent, side * second, side * (inside[0] - value))
-    tangent = np.where(small, other, first)
-    tangent = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
-    v, a = np.where(small, inside[1], first), np.where(small, inside[2], second)
-    square = (v * v).sum(axis=-1, keepdims=True)
-    across = a - (a * v).sum(axis=-1, keepdims=True) / square * v
-    return value, tangent, np.linalg.norm(across / square, axis=-1)

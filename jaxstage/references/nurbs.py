@@ -196,6 +196,34 @@ def in_span(curve: Nurbs, span: Any, u: Any) -> tuple[Any, Any, Any]:
     return value, first, second
 
 
+def taylor(curve: Nurbs, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Taylor coefficients of w (C - V) and of w at the start of spans (host only).
+
+    In powers of the share y of the span, 0 <= y <= 1; V is the first active control point.
+
+    Args:
+        curve: in float64.
+        span: int32 (m,), non-empty.
+
+    Returns:
+        Numerator (m, degree + 1, axes) m, denominator (m, degree + 1, 1).
+    """
+    order = degree(curve)
+    knots = curve.knots[span[:, None] + np.arange(1 - order, order + 1)]
+    active = span[:, None] + np.arange(-order, 1)
+    weights, control = curve.weights[active][..., None], curve.control_points[active]
+    rows = _basis(knots, knots[:, order - 1], order)
+    width = knots[:, order] - knots[:, order - 1]
+    power = np.arange(order + 1)[:, None]
+    factorial = np.cumprod(np.maximum(power, 1), axis=0)
+    scale = (width[:, None, None] ** power) / factorial
+
+    def scaled(control: np.ndarray) -> np.ndarray:
+        return np.stack(_polynomial(knots, control, rows, order + 1), axis=1) * scale
+
+    return scaled(weights * (control - control[:, :1])), scaled(weights)
+
+
 def _basis(knots: Any, u: Any, order: int) -> list[list[Any]]:
     """Non-zero basis functions of degree 0 ... order (A2.2). knots: (..., 2 order)."""
     rows = [[u * 0 + 1]]
@@ -210,11 +238,11 @@ def _basis(knots: Any, u: Any, order: int) -> list[list[Any]]:
     return rows
 
 
-def _polynomial(knots: Any, control: Any, rows: list[list[Any]]) -> list[Any]:
-    """Value, first and second derivative. control: (..., order + 1, m); eq (3.8)."""
+def _polynomial(knots: Any, control: Any, rows: list[list[Any]], count: int = 3) -> list[Any]:
+    """Value and derivatives, ``count`` in all. control: (..., order + 1, m); eq (3.8)."""
     order = len(rows) - 1
     out = []
-    for k in range(3):
+    for k in range(count):
         if k > order:
             out.append(out[0] * 0)
             continue

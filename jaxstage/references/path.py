@@ -22,7 +22,8 @@ from jaxstage.model.blocks import Reference
 from jaxstage.model.fields import part, pytree, replace, signal
 from jaxstage.model.signals import Nearest, Setpoint
 from jaxstage.numerics.geometry import norm, projection_step
-from jaxstage.references.arc import ArcTable, arc_table, as_double, host_frame, moving_spans
+from jaxstage.references.arc import ArcTable, arc_table, as_double, moving_spans
+from jaxstage.references.frame import Frame, host_frame
 from jaxstage.references.nearest import settled
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 from jaxstage.references.segments import (
@@ -118,33 +119,38 @@ def mean_feed(path: Path) -> Array:
 
 
 def _setpoints(curve: Nurbs, moments: Ticks) -> Setpoint:
-    """r' = C' u', r'' = C'' u'^2 + C' u''."""
-    _, first, second = in_span(curve, moments.span, moments.u)
-    position = in_span(curve, moments.span, moments.u)[0]
-    tangent, curvature = _frame(curve, moments)
-    rate = moments.rate[:, None]
+    """r' = C' u', r'' = C'' u'^2 + C' u''; with a constant feed where C' -> 0, r' = v t and
+    r'' = v^2 kappa n."""
+    position, first, second = in_span(curve, moments.span, moments.u)
+    frame, rate = _frame(curve, moments), moments.rate[:, None]
+    by_arc = (frame.near_zero & np.isfinite(moments.feed))[:, None]
     return Setpoint(
         position=position,
-        velocity=first * rate,
-        acceleration=second * rate**2 + first * moments.acceleration[:, None],
-        tangent=tangent,
-        curvature=curvature,
+        velocity=np.where(by_arc, moments.feed * frame.tangent, first * rate),
+        acceleration=np.where(
+            by_arc,
+            moments.feed**2 * frame.bend,
+            second * rate**2 + first * moments.acceleration[:, None],
+        ),
+        tangent=frame.tangent,
+        curvature=frame.curvature,
     )
 
 
-def _frame(curve: Nurbs, moments: Ticks) -> tuple[np.ndarray, np.ndarray]:
-    """Tangent and curvature; on a span without length those of the next one that has one."""
+def _frame(curve: Nurbs, moments: Ticks) -> Frame:
+    """Frame of each tick; on a span without length that of the next one that has one."""
     moving, last = moving_spans(curve), curve.knots[-1]
     place = np.searchsorted(moving, moments.span)
     still = ~np.isin(moments.span, moving)
     span = np.where(still, moving[place % len(moving)], moments.span)
     u = np.where(still, curve.knots[span], moments.u)
-    _, tangent, curvature = host_frame(curve, span, u)
+    frame = host_frame(curve, span, u)
     after = still & (place == len(moving))
     if after.any() and not is_closed(curve):
-        tangent[after] = host_frame(curve, moving[-1:], np.array([last]), side=-1)[1]
-        curvature[after] = 0.0
-    return tangent, curvature
+        frame.tangent[after] = host_frame(curve, moving[-1:], np.array([last]), side=-1).tangent
+        frame.bend[after] = 0.0
+    frame.near_zero[still] = True
+    return frame
 
 
 def sample(path: Path, tick: Array) -> Setpoint:

@@ -16,7 +16,8 @@ import numpy as np
 from jax import Array
 
 from jaxstage.model.fields import pytree, signal
-from jaxstage.references.arc import ArcTable, arc_at, host_frame, moving_spans, parameter_at
+from jaxstage.references.arc import ArcTable, arc_at, moving_spans, parameter_at
+from jaxstage.references.frame import host_frame
 from jaxstage.references.nurbs import Nurbs, in_span, is_closed
 
 CORNER = 1e-6  # rad
@@ -74,9 +75,8 @@ def _smooth_pieces(curve: Nurbs) -> tuple[list[np.ndarray], bool]:
     Span i + spans is span i of the next lap: the last piece may run over the closure.
     """
     used = moving_spans(curve)
-    _, out, _ = host_frame(curve, used, curve.knots[used])
-    _, into, _ = host_frame(curve, used, curve.knots[used + 1], side=-1)
-    into = np.roll(into, 1, axis=0)
+    out = host_frame(curve, used, curve.knots[used]).tangent
+    into = np.roll(host_frame(curve, used, curve.knots[used + 1], side=-1).tangent, 1, axis=0)
     apart, along = (np.linalg.norm(out + sign * into, axis=-1) for sign in (-1, 1))
     corner = 2 * np.arctan2(apart, along) > CORNER
     corner[0] |= not is_closed(curve)
@@ -97,8 +97,8 @@ def _hermite(
     u = parameter_at(curve, table, start + h * np.arange(1, count))[1]
     u = np.concatenate([curve.knots[[span]], u, curve.knots[[span + 1]]])
     where = np.full(count + 1, span)
-    p, t, _ = host_frame(curve, where, u)
-    t[-1] = host_frame(curve, where[-1:], u[-1:], side=-1)[1][0]
+    p, t, *_ = host_frame(curve, where, u)
+    t[-1] = host_frame(curve, where[-1:], u[-1:], side=-1).tangent[0]
     d, a, b = np.diff(p, axis=0), h * t[:-1], h * t[1:]
     cubic = np.stack([p[:-1], a, 3 * d - 2 * a - b, a + b - 2 * d], axis=1)
     arc = start + h * np.arange(count)

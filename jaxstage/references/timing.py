@@ -29,6 +29,7 @@ class Ticks:
     acceleration: np.ndarray = signal("1/s2", "u''", "d2u/dt2", shape="(ticks,)")
     arc: np.ndarray = signal("m", "s", "arc length since the start of the lap", shape="(ticks,)")
     lap_time: np.ndarray = signal("s", "T", "duration of the lap, a whole number of ticks")
+    feed: np.ndarray = signal("m/s", "v", "ds/dt where it is the same at every tick, or else NaN")
 
 
 #: turns a float64 curve and its arc table into the ticks of one lap
@@ -74,6 +75,7 @@ def _uniform_parameter(lap_time: float, dt: float) -> LapTiming:
             acceleration=np.zeros(count),
             arc=arc_at(curve, table, u),
             lap_time=np.asarray(count * dt),
+            feed=np.asarray(np.nan),
         )
 
     return timing
@@ -83,7 +85,8 @@ def constant_feed(feed: float, dt: float) -> LapTiming:
     """Constant-feed timing.
 
     s_k = L (k mod n)/n, u' = v/|C'|, u'' = -v^2 (C' . C'')/|C'|^4, n = round(L/(feed dt)).
-    Where C' = 0, u' is that of a place just inside the span.
+    Where C' = 0, u' is infinite: here it is that of a place just inside the span, and the lap takes
+    velocity and acceleration from the arc length, r' = v t and r'' = v^2 kappa n.
 
     Args:
         feed: mm/min, adjusted to v = L/(n dt) so that the lap is a whole number of ticks (see
@@ -133,6 +136,7 @@ def _constant_feed(feed: float, dt: float) -> LapTiming:
             acceleration=-(speed**2) * (first * second).sum(axis=-1) / square**2,
             arc=arc,
             lap_time=np.asarray(count * dt),
+            feed=np.asarray(speed),
         )
 
     return timing
