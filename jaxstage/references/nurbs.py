@@ -218,7 +218,7 @@ def taylor(curve: Nurbs, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     factorial = np.cumprod(np.maximum(power, 1), axis=0)
     scale = (width[:, None, None] ** power) / factorial
 
-    def scaled(control: np.ndarray) -> np.ndarray:
+    def scaled(control: Any) -> np.ndarray:
         return np.stack(_polynomial(knots, control, rows, order + 1), axis=1) * scale
 
     return scaled(weights * (control - control[:, :1])), scaled(weights)
