@@ -17,6 +17,8 @@ from jaxstage.system.memory import memory_bytes
 
 #: bytes a tick that making a lap takes at its peak, measured
 TICK_BYTES = 2800
+#: ticks are counted in 32 bits
+MOST_TICKS = 2**31 - 1
 
 
 @pytree
@@ -58,9 +60,7 @@ def _uniform_parameter(lap_time: float, dt: float) -> LapTiming:
     positive("dt", dt, "s")
     if lap_time < dt:
         raise ValueError(f"lap_time must be >= dt = {dt:g} s; got {lap_time:g} s")
-    count = round(lap_time / dt)
-
-    _refuse_large(count, dt)
+    count = _tick_count(lap_time / dt, f"lap_time = {lap_time:g} s", dt)
 
     def timing(curve: Nurbs, table: ArcTable) -> Ticks:
         whole = np.ptp(curve.knots)
@@ -100,15 +100,21 @@ def constant_feed(feed: float, dt: float) -> LapTiming:
     return _constant_feed(float(feed), float(dt))
 
 
-def _refuse_large(count: int, dt: float) -> None:
-    """Raise ValueError for a lap that does not fit into the memory while it is made."""
-    most = memory_bytes() / 2 / TICK_BYTES
-    if count > most:
+def _tick_count(periods: float, setting: str, dt: float) -> int:
+    """The whole number of ticks of a lap of so many periods.
+
+    Raises:
+        ValueError: for a lap that does not fit into the memory while it is made.
+    """
+    half = memory_bytes() / 2
+    most = min(half / TICK_BYTES, MOST_TICKS)
+    if periods > most:
         raise ValueError(
-            f"a lap of {count * dt:.4g} s at dt = {dt:g} s takes {count * TICK_BYTES / 1e9:.3g} GB "
-            f"while it is made, half the memory here is {memory_bytes() / 2e9:.3g} GB: must be <= "
-            f"{most * dt:.4g} s at this dt"
+            f"{setting} gives a lap of {periods * dt:.4g} s at dt = {dt:g} s, "
+            f"{periods * TICK_BYTES / 1e9:.3g} GB while it is made, half the memory here is "
+            f"{half / 1e9:.3g} GB: must be <= {most * dt:.4g} s at this dt"
         )
+    return round(periods)
 
 
 @functools.cache
@@ -118,8 +124,9 @@ def _constant_feed(feed: float, dt: float) -> LapTiming:
 
     def timing(curve: Nurbs, table: ArcTable) -> Ticks:
         length = table.arc[-1]
-        count = round(length / (feed / 6e4 * dt))
-        _refuse_large(count, dt)
+        with np.errstate(divide="ignore", over="ignore"):
+            periods = length / (feed / 6e4 * dt)
+        count = _tick_count(periods, f"feed = {feed:g} mm/min", dt)
         if count < 2:
             limit = length / (2 * dt) * 6e4
             raise ValueError(f"feed must be <= {limit:g} mm/min: a lap needs 2 ticks; got {feed:g}")

@@ -152,6 +152,17 @@ def test_timing_refuses_what_cannot_be_sampled():
         make_path(circle(), uniform_parameter(1.0, 1e-3), window=0.3)
 
 
+@pytest.mark.fast
+@pytest.mark.parametrize("size", [1e-320, 1e-12, 1e-3])
+def test_a_lap_of_too_many_ticks_is_refused_by_the_name_of_its_setting(size):
+    """Before anything is made: up to more ticks than a float can count."""
+    with pytest.raises(ValueError, match=r"^feed = .* mm/min gives a lap of .* s at dt = 1e-09 s"):
+        make_path(circle(), constant_feed(size, 1e-9))
+    lap_time = min(1 / size, 1e308)
+    with pytest.raises(ValueError, match=r"^lap_time = .* s gives .* must be <= .* s at this dt$"):
+        uniform_parameter(lap_time, 1e-9)
+
+
 def test_path_is_made_in_double_whatever_the_precision_of_jax():
     wide = make_path(heart(), uniform_parameter(1.0, 1e-3))
     with jax.enable_x64(False):
