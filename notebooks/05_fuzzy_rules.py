@@ -92,7 +92,7 @@ print(f"{searched.size} rules: objective {tuned.before:.3f} -> {tuned.after:.4f}
 # %%
 pair = simulate_before_after(case, case.gains, tuned.gains, recorded=True)
 for name in ("contour_rms_um", "contour_max_um", "energy_J"):
-    before, after = (figures[name] for figures in pair.figures())
+    before, after = (metrics[name] for metrics in pair.metrics())
     print(f"{name:16s} {before:9.4g} -> {after:9.4g}")
 
 

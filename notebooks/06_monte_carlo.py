@@ -33,7 +33,7 @@ import jaxstage as js
 from tuning.sweeps import replays, store
 from tuning.sweeps.analysis import Question, analyse
 from tuning.sweeps.configuration import SweepRequest, build, configure_sweep
-from tuning.sweeps.pictures import drawings
+from tuning.sweeps.pictures import plots
 from tuning.sweeps.sweep import sweep
 
 # %matplotlib inline
@@ -83,7 +83,7 @@ for pair in found.comparisons:
     print(f"{pair.first} is better than {pair.second} on {pair.better.value:.0%} of the plants")
 
 # %%
-pictures = drawings(found)
+pictures = plots(found)
 pictures["distribution"]
 
 # %% [markdown]
@@ -101,7 +101,8 @@ pictures[f"{LOOPS[0]}-parameters"]
 # Any plant can be drawn again from its number, bit for bit.
 
 # %%
-(number, ids), *_ = replays.choose(folder, plan, None, 1, LOOPS[0], found.metric)
+worst = replays.RunSelection(worst=1, loop=LOOPS[0], metric=found.metric)
+(number, ids), *_ = replays.select_runs(folder, plan, worst)
 (again,) = replays.replay(folder, plan, number, ids)
 print(f"run {again['run']}: {again['figures']['contour_max_um']:.1f} um", again["identical"])
 for name, value in again["parameters"].items():

@@ -287,8 +287,8 @@ def test_a_report_names_the_damaged_file(command, name, text):
 
 
 def test_a_sweep_without_end_is_refused_before_anything_is_drawn(command, monkeypatch):
-    """1e12 runs of 200 ticks and 1 substep are 2e14 steps; at 1e6 a second and core a year has
-    3.2e13."""
+    """2e7 runs of 1e5 ticks and 1 substep are 2e12 steps; at 1e6 a second and core a day has
+    8.6e10."""
     few_figures(monkeypatch)
 
     def drawn(*_):
@@ -296,8 +296,8 @@ def test_a_sweep_without_end_is_refused_before_anything_is_drawn(command, monkey
 
     monkeypatch.setattr("tuning.sweeps.configuration._check_draws", drawn)
     words = ("sweep", "pi-circle", *SHORT, "--out", "new", "--cores", "1")
-    answer = command(*words, "-n", "1000000000000")
-    assert answer.status == 2 and "2e+14 plant steps, about 2.31e+03 days on 1 cores" in answer.err
+    answer = command(*words, "--set", "lap_time=10", "-n", "20000000")
+    assert answer.status == 2 and "2e+12 plant steps, about 23.1 days on 1 cores" in answer.err
     assert "--force simulates them" in answer.err and not Path("new").exists()
     wrong = command(*words, "--spec", "contour_mx_um < 2")
     assert wrong.status == 2 and "did you mean 'contour_max_um'" in wrong.err

@@ -1,7 +1,7 @@
 """Any law on any plant with matching axes: finite, differentiable, batched."""
 
 import inspect
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_origin
 
 import jax
 import jax.numpy as jnp
@@ -253,7 +253,10 @@ def _made(package, kind):
     found = set()
     for name, value in vars(package).items():
         maker = inspect.unwrap(value) if callable(value) else None
-        returned = inspect.signature(maker).return_annotation if inspect.isfunction(maker) else None
+        annotation = (
+            inspect.signature(maker).return_annotation if inspect.isfunction(maker) else None
+        )
+        returned = get_origin(annotation) or annotation
         if not name.startswith("_") and (isinstance(value, kind) or returned is kind):
             found.add(name)
     return found

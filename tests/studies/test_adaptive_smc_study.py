@@ -335,7 +335,7 @@ def test_a_feed_is_constant_feed():
 @pytest.mark.fast
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({"skip": 20.0}, "skip = 20.0 s: must be < the run"), ({"dt": 0.0}, "dt = 0.0: must be > 0"),
+    [({"skip": 20.0}, "skip = 20 s: must be < the run"), ({"dt": 0.0}, "dt = 0.0: must be > 0"),
      ({"lap_time": -1.0}, "lap_time = -1.0: must be > 0"), ({"substeps": 0}, "substeps = 0")],
 )  # fmt: skip
 def test_impossible_timing_is_refused(changes, message):
