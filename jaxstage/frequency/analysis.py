@@ -65,6 +65,7 @@ class FrequencyView(NamedTuple):
         radius: spectral radius of a control period.
         unsteadiness: relative change of A from one period to the next.
         sines: sine sweeps, by axis name.
+        simplified: what the linear view leaves out of the case.
     """
 
     case: Case
@@ -75,6 +76,7 @@ class FrequencyView(NamedTuple):
     radius: float
     unsteadiness: float
     sines: dict[str, SineResponse]
+    simplified: tuple[str, ...]
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -126,15 +128,15 @@ def operating(case: Case, at: float | Sequence[float] | None = None) -> Case:
     return case._replace(loop=loop, scenario=scenario, path=path)
 
 
-def _exact_encoder(case: Case) -> tuple[Case, list[str]]:
+def _exact_encoder(case: Case) -> tuple[Case, tuple[str, ...]]:
     """A quantised position has slope 0: the linear view reads it exactly, and says so."""
     sensor = case.scenario.sensor
     resolution = getattr(sensor, "resolution", None)
     if resolution is None or not np.any(np.asarray(resolution) > 0):
-        return case, []
+        return case, ()
     exact = replace(sensor, resolution=jnp.zeros_like(resolution))
     note = "the encoder's resolution is 0 in the linear view: a quantised signal has slope 0"
-    return case._replace(scenario=replace(case.scenario, sensor=exact)), [note]
+    return case._replace(scenario=replace(case.scenario, sensor=exact)), (note,)
 
 
 def view(
@@ -159,7 +161,7 @@ def view(
     if cut not in CUTS:
         raise ValueError(f"cut = {cut}: must be one of {', '.join(CUTS)}")
     moved = operating(case, at)
-    exact, _ = _exact_encoder(moved)
+    exact, simplified = _exact_encoder(moved)
     after = max(after, case.loop.drive.max_delay + 2)
     gone = simulate(exact.loop, exact.gains, exact.scenario, exact.path, after).final
     for tick, what in ((gone.left_path_at, "left the path"), (gone.non_finite_at, "diverged")):
@@ -177,7 +179,7 @@ def view(
     if not math.isfinite(radius):
         raise ValueError(f"{case.name}: the derivative of a control period is not finite there")
     omega = grid(model, *band)
-    return FrequencyView(exact, speeds, cut, model, omega, radius, float(drift), {})
+    return FrequencyView(moved, speeds, cut, model, omega, radius, float(drift), {}, simplified)
 
 
 def with_sines(
@@ -209,10 +211,25 @@ def with_sines(
     return seen._replace(sines=sines)
 
 
-def notes(seen: FrequencyView) -> list[str]:
+class _Responses(NamedTuple):
+    """The responses of a view, each decomposed into modes once."""
+
+    sensitivity: Response
+    feedforward: Response
+    feedback: Response
+    compliance: Response
+
+
+def _responses(model: LinearModel) -> _Responses:
+    return _Responses(
+        sensitivity(model), tracking(model), tracking(model, False), compliance(model)
+    )
+
+
+def _notes(seen: FrequencyView, responses: _Responses) -> list[str]:
     """What a reader of the linear view must know: where it does not hold."""
     case = seen.case
-    said = []
+    said = list(seen.simplified)
     if not seen.stable:
         said.append(
             f"unstable: the spectral radius of a control period is {seen.radius:.6g}; an unstable "
@@ -229,24 +246,24 @@ def notes(seen: FrequencyView) -> list[str]:
             f"the switching of {case.loop.controller.name} is invisible to a linearisation (the "
             "slope of a sign is 0): use --sine"
         )
-    matrix = sensitivity(seen.model)(seen.omega)
+    matrix = responses.sensitivity(seen.omega)
     for axis, name in enumerate(seen.axes):
         if np.abs(matrix[:, axis, axis] - 1).max() < SILENT:
             said.append(f"axis {name} sticks: L = 0; use --at SPEED or --sine AMPLITUDE")
     return said
 
 
-def _axis(seen: FrequencyView, axis: int) -> dict[str, float | None]:
+def _axis(seen: FrequencyView, responses: _Responses, axis: int) -> dict[str, float | None]:
     hertz = 1 / (2 * math.pi)
-    response = seen.element(sensitivity(seen.model), axis)
-    soft = peak(seen.element(compliance(seen.model), axis), seen.omega)
+    response = seen.element(responses.sensitivity, axis)
+    soft = peak(seen.element(responses.compliance, axis), seen.omega)
     found: LoopMargins | None = loop_margins(response, seen.omega) if seen.stable else None
     up = found and found.gain_up
     down = found and found.gain_down
     phase = found and found.phase
     ahead, alone = (
-        bandwidth(seen.element(tracking(seen.model, f), axis), seen.omega) if seen.stable else None
-        for f in (True, False)
+        bandwidth(seen.element(matrix, axis), seen.omega) if seen.stable else None
+        for matrix in (responses.feedforward, responses.feedback)
     )
     return {
         "gm_up_db": decibels(up.value) if up else None,
@@ -266,11 +283,11 @@ def _axis(seen: FrequencyView, axis: int) -> dict[str, float | None]:
     }
 
 
-def _sines(seen: FrequencyView) -> list[dict[str, Any]]:
+def _sines(seen: FrequencyView, responses: _Responses) -> list[dict[str, Any]]:
     rows = []
     for name, swept in seen.sines.items():
         axis = seen.axes.index(name)
-        linear = sensitivity(seen.model)(swept.omega)[:, axis, axis]
+        linear = responses.sensitivity(swept.omega)[:, axis, axis]
         for i, amplitude in enumerate(swept.amplitude):
             for k, omega in enumerate(swept.omega):
                 gone = bool(swept.lost[i, k])
@@ -300,20 +317,22 @@ def answer(seen: FrequencyView, extra: Sequence[str] = ()) -> dict[str, Any]:
     Returns:
         The keys of the JSON object; a margin that does not exist is None.
     """
-    coupled = largest_singular_value(sensitivity(seen.model), seen.omega) if seen.stable else None
+    responses = _responses(seen.model)
+    stable = seen.stable
+    coupled = largest_singular_value(responses.sensitivity, seen.omega) if stable else None
     return {
         "loop": seen.case.name,
         "at_m_s": {name: float(v) for name, v in zip(seen.axes, seen.at, strict=True)},
         "cut": seen.cut,
         "steady": seen.unsteadiness <= STEADY,
         "spectral_radius": seen.radius,
-        "axes": {name: _axis(seen, i) for i, name in enumerate(seen.axes)},
+        "axes": {name: _axis(seen, responses, i) for i, name in enumerate(seen.axes)},
         "coupled": {
             "ms": coupled.value if coupled else None,
             "ms_Hz": coupled.omega / (2 * math.pi) if coupled else None,
         },
-        "sine": _sines(seen),
-        "notes": [*notes(seen), *extra],
+        "sine": _sines(seen, responses),
+        "notes": [*_notes(seen, responses), *extra],
     }
 
 
@@ -341,5 +360,4 @@ def margins(
         ValueError: for a wrong argument, or a loop that is lost on the operating motion.
     """
     seen = view(case, at, cut)
-    _, said = _exact_encoder(operating(case, at))
-    return answer(with_sines(seen, sine) if len(sine) else seen, said)
+    return answer(with_sines(seen, sine) if len(sine) else seen)

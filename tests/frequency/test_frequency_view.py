@@ -9,6 +9,7 @@ import jaxstage as js
 from jaxstage.frequency.linear import linearise
 from jaxstage.frequency.response import connected, modal, response
 from jaxstage.frequency.sweep import sine_sweep
+from jaxstage.hardware.sensors import Encoder, encoder
 
 KEYS = {
     "gm_up_db", "gm_up_Hz", "gm_down_db", "gm_down_Hz", "pm_deg", "pm_Hz", "delay_margin_us",
@@ -161,3 +162,23 @@ def test_the_model_for_other_tools(cascade):
     assert np.abs(np.moveaxis(theirs(np.exp(1j * few * seen.model.dt)), -1, 0) - ours).max() < 1e-9
     scipys = js.frequency.to_scipy(seen.model)
     assert np.array_equal(scipys.A, np.asarray(seen.model.a)) and scipys.dt == seen.model.dt
+
+
+def test_an_encoder_is_exact_in_the_linear_view_only():
+    """A quantised signal has slope 0: the view says that it left this out, the sweep does not."""
+    case = js.build("pi-circle")
+    sensor = Encoder(resolution=jnp.asarray(1e-6), bandwidth=jnp.asarray(jnp.inf))
+    coarse = case._replace(
+        loop=js.replace(case.loop, sensor=encoder),
+        scenario=js.replace(case.scenario, sensor=sensor),
+    )
+    seen = js.frequency.view(coarse, 0.05)
+    assert seen.case.scenario.sensor.resolution == 1e-6
+    notes = js.frequency.answer(seen)["notes"]
+    assert sum("the encoder's resolution is 0 in the linear view" in note for note in notes) == 1
+    assert js.frequency.answer(js.frequency.view(case, 0.05))["notes"] == []
+    swept = [
+        sine_sweep(c.loop, c.gains, c.scenario, c.path, 0, [1e-3], [20, 300])
+        for c in (seen.case, js.frequency.view(case, 0.05).case)
+    ]
+    assert swept[0].harmonics.max() > 100 * swept[1].harmonics.max()
